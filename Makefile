@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 CONSTRAINTS ?= constraints.txt
 BIN := $(VENV)/bin
-# Workers steal tests from each other at the end; the compiled programs are shared on disk.
+# Idle workers take over tests from other workers. The compiled programs are shared on disk.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
-# The word after `evidence` is the name of a study, and no target.
+# The word after `evidence` is the name of a study, not a target.
 ifeq (evidence,$(firstword $(MAKECMDGOALS)))
 NAME ?= $(word 2,$(MAKECMDGOALS))
 ifneq (,$(NAME))
@@ -19,26 +19,26 @@ endif
 
 help:
 	@echo "make demo           install into $(VENV) and fit the demonstration run"
-	@echo "make test           install and run the tests but the slow ones, in minutes"
+	@echo "make test           install and run all tests except the slow ones, in a few minutes"
 	@echo
-	@echo "make check          lint, types and the tests that compile nothing, within a minute"
-	@echo "make test-slow      the tests that 'make test' leaves out"
-	@echo "make test-all       both"
-	@echo "make test-long      studies and benchmarks again, before a release"
-	@echo "make test-lowest    the lowest versions that pyproject.toml allows"
-	@echo "make test-python    another Python: make test-python PYTHON=python3.13"
-	@echo "make evidence NAME  a study that takes long, into docs/evidence; without a name, lists them"
-	@echo "make paper          the paper's figures and tables, into giajax-out/paper"
-	@echo "make docs           the site of the documentation, into build/docs"
-	@echo "make pictures       the pictures of the documentation, into docs/pictures, and its tables"
-	@echo "make lint           formatting, lint and spelling"
-	@echo "make types          static types"
-	@echo "make bench          side-by-side measurements against MuJoCo, CasADi and scipy"
-	@echo "make bench-check    the same, and fail where a ratio fell by a fifth since it was recorded"
+	@echo "make check          run lint, types and the tests that compile nothing, within a minute"
+	@echo "make test-slow      run the slow tests, which 'make test' omits"
+	@echo "make test-all       run 'make test' and 'make test-slow'"
+	@echo "make test-long      run the tests that repeat studies and benchmarks, before a release"
+	@echo "make test-lowest    run the tests with the lowest versions that pyproject.toml allows"
+	@echo "make test-python    run the tests with another Python: make test-python PYTHON=python3.13"
+	@echo "make evidence NAME  run a long study and write to docs/evidence; without NAME, list the studies"
+	@echo "make paper          write the paper's figures and tables to giajax-out/paper"
+	@echo "make docs           build the documentation site in build/docs"
+	@echo "make pictures       write the pictures and tables of the documentation"
+	@echo "make lint           check formatting, lint and spelling"
+	@echo "make types          check static types"
+	@echo "make bench          measure the speed and compare it with MuJoCo, CasADi and scipy"
+	@echo "make bench-check    measure and compare; fail if a ratio is a fifth below its recorded value"
 	@echo "make synthetic      regenerate data/synthetic"
-	@echo "make browser        Chromium from the system's packages, for the tests that open pages"
+	@echo "make browser        install Chromium from the system packages, for the tests that open pages"
 
-# A stamp per set of extras: installing again happens only when the project's metadata change.
+# One stamp file per set of extras, so a reinstallation happens only if the metadata change.
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
@@ -62,7 +62,7 @@ demo: $(VENV)/.installed
 check: $(VENV)/.installed-dev
 	@$(MAKE) --no-print-directory --jobs=2 --keep-going lint types quick
 
-# One process: a second one would import everything again.
+# One process, because a second one would have to import everything again.
 quick: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m quick $(PYTEST_ARGS)
 
@@ -75,11 +75,11 @@ test-slow: $(VENV)/.installed-dev
 test-long: $(VENV)/.installed-dev
 	$(PYTEST) -m long $(PYTEST_ARGS)
 
-# What is slow is run even where something else failed, and is not run twice.
+# The slow tests run even if other tests fail, and only once.
 test-all: $(VENV)/.installed-dev
 	@$(MAKE) --no-print-directory --keep-going test test-slow
 
-# An environment of its own for each; the static tools are those of the newest versions.
+# Each uses its own environment. The static checks run only with the newest versions.
 test-lowest:
 	@$(MAKE) --no-print-directory quick test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
 
@@ -92,7 +92,7 @@ evidence: $(VENV)/.installed-dev
 paper: $(VENV)/.installed
 	$(BIN)/giajax paper all --out giajax-out/paper --force
 
-# Warnings are errors, and every reference must lead somewhere.
+# Warnings are errors, and every reference must be resolved.
 docs: $(VENV)/.installed-dev
 	$(BIN)/python -m sphinx -b html -W --keep-going -n -q docs build/docs
 	@echo "open build/docs/index.html"

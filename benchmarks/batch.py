@@ -1,8 +1,9 @@
-"""Many arms at once: what one evaluation and one run cost an item, by batch size and by layout.
+"""Many arms at once: time of one evaluation and one run per item, by batch size and layout.
 
-Items differ in drag, stiffnesses, damping and command. Layouts are one vmap with the items first,
-one with the items last, a loop over items (chunk 1), and a loop over chunks of vmaps. In a vmap
-every item waits for the one that takes the most steps; within a chunk it waits for fewer.
+The items differ in drag, stiffnesses, damping and command. The layouts are one vmap over the first
+axis, one vmap over the last axis, a loop over items (chunk 1), and a loop over chunks, each a vmap.
+In a vmap, all items take as many steps as the slowest one. In a chunk, an item waits for fewer
+others.
 
     python -m benchmarks.batch [--quick] [--out FILE]
 """
@@ -37,20 +38,20 @@ LAYOUTS: dict[str, int | None] = {
     "chunks of 16": 16,
     "chunks of 64": 64,
 }
-# A run of the largest batch takes minutes.
+# One run of the largest batch takes minutes, so not all layouts are measured.
 LARGE = 1024
 LARGE_LAYOUTS = ("items first", "one by one", "chunks of 16")
 
 
 def items(count: int) -> Any:
-    """Parameters and the size of the command of each item, shape (item, 5)."""
+    """Return four parameters and the scale of the command of each item, shape (item, 5)."""
     random = np.random.default_rng(0)
     middle = np.array([1.2, 3.0, 30.0, 0.05, 1.0])
     return jnp.asarray(middle * random.uniform(0.7, 1.3, (count, 5)))
 
 
 def spread_over(one: Any, values: Any, layout: str) -> Any:
-    """A function of one item for all items, whose first axis they are."""
+    """Apply a function of one item to all items, which lie along the first or the last axis."""
     if layout == "items first":
         return jax.vmap(one)(values)
     if layout == "items last":
@@ -59,14 +60,14 @@ def spread_over(one: Any, values: Any, layout: str) -> Any:
 
 
 def arranged(values: Any, layout: str) -> Any:
-    """The items where the layout has them."""
+    """Move the axis of the items to where the layout expects it."""
     last = layout == "items last"
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) if last else leaf, values)
 
 
 @program
 def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
-    """`loop` dependent evaluations of every item."""
+    """Compute `loop` dependent evaluations of every item."""
 
     def one(item: dict[str, Any]) -> Any:
         def again(_: Any, angles: Any) -> Any:
@@ -79,7 +80,7 @@ def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any
 
 @eqx.filter_jit
 def runs(arm: Arm, command: Signal, times: Any, values: Any, layout: str, solver: str) -> Any:
-    """Path of the tip of every item."""
+    """Return the path of the tip of every item."""
 
     def one(value: Any) -> Any:
         changed = replace(arm, dict(zip(NAMES, value[:4], strict=True)))
@@ -95,17 +96,17 @@ def runs(arm: Arm, command: Signal, times: Any, values: Any, layout: str, solver
 
 
 def layouts_for(size: int) -> list[str]:
-    """The layouts that differ for a batch: chunks smaller than it."""
+    """Return the layouts that differ for this batch size: those with chunks smaller than it."""
     return [name for name, chunk in LAYOUTS.items() if size > (chunk or 0) or name == "items first"]
 
 
 def waited(function: Any, *arguments: Any) -> Any:
-    """What a function returns, once it is there."""
+    """Call a function and wait for its result."""
     return jax.block_until_ready(function(*arguments))
 
 
 def seconds_of_runs(*arguments: Any) -> float:
-    """Time of one batch of runs, compiling apart."""
+    """Return the time of one batch of runs without compilation, s."""
     function: Any = runs
     compiled = function.lower(*arguments).compile()
     began = time.perf_counter()
@@ -114,7 +115,7 @@ def seconds_of_runs(*arguments: Any) -> float:
 
 
 def measure(quick: bool, console: Console) -> dict[str, Any]:
-    """Seconds an item, by "layout, size" and of runs by solver too."""
+    """Measure the seconds per item, by "layout, size" and, for runs, by solver."""
     links, seconds, repeats = (3, 1.0, 1) if quick else (20, 25.0, 3)
     sizes = (1, 4) if quick else (1, 16, 256, 4096)
     arm, command = driven_arm(links)

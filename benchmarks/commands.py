@@ -1,8 +1,8 @@
-"""What each command takes, in its first process and in a later one, and what it compiles.
+"""Time of each command as a process with cold and warm caches, and the programs that it compiles.
 
-A cold process begins with an empty cache, which the warm one after it finds filled. Times are those
-on the clock, which is what a user waits for: on a quiet machine. The exit status says whether each
-warm process ended within its limit.
+A cold process starts with an empty cache. The warm process after it uses the cache that it filled.
+The times are wall times, because these are what a user waits for, so the machine must be otherwise
+idle. The exit status is 1 if a warm process exceeds its limit.
 
     python -m benchmarks.commands [--quick] [--only NAME ...] [--beside CHECKOUT] [--out FILE]
 """
@@ -23,7 +23,7 @@ from benchmarks.measuring import RESULTS, checkouts_of, columns, store
 
 RUN = "data/synthetic/base_step.csv"
 AIR = "--wind 0,0.4,0.1 --gusts 0.2:2 --coherence 12"
-MOST = 8.0  # s, of a command that is no study
+MOST = 8.0  # s, for a command that is not a study
 ALL_AT_ONCE = (
     "air.drag_coefficient",
     "joints.pitch_stiffness",
@@ -41,12 +41,12 @@ ALL_AT_ONCE = (
 class Command:
     """A command with its arguments.
 
-    Of these `{out}` is an empty folder, `{fit}` that of a fit, and `{made}` that of what is there
-    before.
+    In the arguments, `{out}` is an empty folder, `{fit}` the folder of a fit, and `{made}` the
+    folder of the data that the command in `after` has written.
 
     Attributes:
-        most: what a warm process may take, s.
-        after: what has to be there, as another command.
+        most: limit of the time of a warm process, s.
+        after: command that writes the data and is not measured.
     """
 
     arguments: str
@@ -99,7 +99,7 @@ QUICK = ("check", "fit")
 def measure(
     names: Iterable[str], checkouts: dict[str, Path], console: Console
 ) -> dict[str, dict[str, Any]]:
-    """By command and checkout, what a cold process and a warm one take."""
+    """Measure a cold and a warm process of each command with each checkout."""
     found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
@@ -132,7 +132,7 @@ def _of(arguments: str, out: Path, fit: Path, made: Path) -> list[str]:
 
 
 def table(found: dict[str, dict[str, Any]]) -> Table:
-    """A row for each command and checkout."""
+    """Return a table with a row for each command and checkout."""
     rows = columns(
         "giajax as a process",
         "",
@@ -157,12 +157,12 @@ def table(found: dict[str, dict[str, Any]]) -> Table:
 
 
 def are_held(found: dict[str, dict[str, Any]]) -> bool:
-    """Whether all warm processes ended within their limits."""
+    """Return whether all warm processes ended within their limits."""
     return all(each["here"]["warm"]["clock_s"] <= each["most_s"] for each in found.values())
 
 
 def main() -> int:
-    """Measure, show, write, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="two commands: does it run?")
     parser.add_argument("--only", action="append", choices=COMMANDS, help="a command; repeatable")

@@ -1,10 +1,11 @@
-"""What the other cores of a machine are worth: runs of a fit, starts and batches.
+"""Time of fits with several runs, of several starts and of batches on two cores and on one.
 
-22 recordings of one arm with other noise are fitted together, short ones and ones that take seven
-times as long, one is fitted from 8 starts, and a batch of arms that differ in drag, stiffness and
-damping is simulated: on one core and on two, in turns. Two cores are to take at most 1 / 1.6 of the
-time for the long runs (of the short ones a second is no evaluation), and the numbers are to be the
-same to 1e-6 standard errors, or metres.
+22 simulated recordings of the same motion with different noise are fitted together. This is done
+for short recordings and for recordings that take seven times as long. One recording is fitted from
+8 initial guesses, and a batch of arms with different drag, stiffness and damping is simulated. Each
+task runs on one core and on two, in turns. The fit of the long runs must be at least 1.6 times
+faster on two cores. The short runs have no limit, because one second of their time is not spent on
+evaluations. The results must agree to 1e-6 standard errors, or metres.
 
     python -m benchmarks.cores [--quick] [--out FILE]
 """
@@ -43,7 +44,7 @@ LEAST, SAME = 1.6, 1e-6
 
 
 def recordings(name: str, count: int) -> list[Run]:
-    """Recordings of one motion, which differ in their noise."""
+    """Simulate recordings of one motion that differ in their noise."""
     first = read_run(ROOT / "data" / "synthetic" / f"{name}.csv")
     motion = predict(model_for([first]), first)
     random = np.random.default_rng(0)
@@ -63,16 +64,17 @@ def recordings(name: str, count: int) -> list[Run]:
 
 
 def tip(values: Any, arm: Arm, command: Signal, times: Any) -> Any:
-    """Path of the tip of an arm with other values of `PARAMETERS`."""
+    """Return the path of the tip of an arm with other values of `PARAMETERS`."""
     changed = giajax.schema.parameters.replace(arm, dict(zip(PARAMETERS, values, strict=True)))
     options: dict[str, Any] = {"solver": "springs5", "rtol": 1e-5, "atol": 1e-5, "throw": False}
     return simulate(changed, command, times, **options).tip
 
 
 def on_cores(count: int, call: Callable[[], Any]) -> tuple[float, Any]:
-    """Seconds that a call takes on so many cores, and what it returns.
+    """Return the time of a call on the given number of cores, s, and its result.
 
-    Without the collector of garbage, as `timeit` does: it comes by chance, for a fifth of a second.
+    The garbage collector is switched off, as in `timeit`, because it takes a fifth of a second at
+    random times.
     """
     os.environ["GIAJAX_CORES"] = str(count)
     gc.collect()
@@ -86,7 +88,7 @@ def on_cores(count: int, call: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def compared(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], list[Any]]:
-    """Least seconds on one core and on two, their ratio, and the results of both."""
+    """Return the least times on one and two cores, their ratio, and both results."""
     results = [on_cores(count, call)[1] for count in (1, 2)]
     times = [[on_cores(count, call)[0] for count in (1, 2)] for _ in range(repeats)]
     one, two = np.min(times, axis=0)
@@ -94,18 +96,18 @@ def compared(call: Callable[[], Any], repeats: int) -> tuple[dict[str, float], l
 
 
 def farthest(one: FitResult, two: FitResult) -> float:
-    """How far two results are apart, in standard errors."""
+    """Return the largest difference of two estimates, in units of the standard error."""
     distances = []
     for path, estimate in one.free.items():
         apart = abs(estimate.value - two.free[path].value)
-        # Where nothing responds there is no error, and the start is kept.
+        # A parameter without effect has no standard error and stays at its initial guess.
         distances.append(apart / estimate.standard_error if estimate.standard_error else apart)
-    # By NumPy: a NaN is none of those that are near enough.
+    # NumPy's maximum keeps a NaN, which then exceeds the limit.
     return float(np.max(distances))
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Figures by what was computed."""
+    """Return the figures of each task by name."""
     count, repeats = (2, 1) if quick else (22, 3)
     runs = {each: recordings(each, count) for each in ((SHORT,) if quick else (SHORT, LONG))}
     models = {motion: model_for(each) for motion, each in runs.items()}
@@ -145,7 +147,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
     options = command_line(__doc__, RESULTS / "cores.json")
     found = measure(options.quick)

@@ -1,11 +1,11 @@
-"""`giajax fit` as a process, first and later, and what of it comes before the first iteration.
+"""Time of `giajax fit` as a process with cold and warm caches, and time to the first iteration.
 
-A cold process begins with an empty cache, which the warm ones after it find filled. Beside another
-checkout of giajax the two take turns, each with a cache of its own, and the least of each counts:
-processor time, which another program beside them lengthens less than the time on the clock.
-With `--steps` also the least time of a step (value and Jacobian) of four definitions.
-Beside the version before programs had options of XLA (d753237) the limits are 0.75 cold, 0.45 warm,
-and 0.5 for a step; the exit status says whether they are held.
+A cold process starts with an empty cache. The warm processes after it use the cache that it filled.
+If another checkout is given, the two checkouts take turns, each with its own cache. The reported
+time is the least processor time, which depends less on the load of the machine than wall time.
+With `--steps`, the benchmark also measures the least time of a step (value and Jacobian) for four
+definitions. The limits, relative to d753237 (the last version without XLA options), are 0.75
+(cold), 0.45 (warm) and 0.5 (step). The exit status is 1 if a limit is exceeded.
 
     python -m benchmarks.fit_process [--quick] [--steps] [--beside CHECKOUT] [--out FILE]
 """
@@ -34,8 +34,8 @@ STEPS = ("base_step", "pitch_yaw", "wind", "full_air")
 MOST = {"cold": 0.75, "warm": 0.45}
 MOST_OF_A_STEP = 0.5
 
-# What a process runs, in place of the command: it counts what JAX compiles, reads from the cache
-# (which JAX counts as compiled, too) and traces.
+# The process runs this code in place of the command. It counts the programs that JAX compiles and
+# those that JAX reads from the cache. JAX counts the latter as compiled, too.
 _PROCESS = """
 import json, sys, time
 began = time.process_time(), time.perf_counter()
@@ -89,19 +89,19 @@ print(json.dumps({"status": status, "processor_s": processor, "clock_s": clock, 
 
 
 def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Run a command by the source of a checkout in a process of its own.
+    """Run a command in a separate process, with the source of a checkout.
 
     Arguments:
-        checkout: root of the project, of this or of another version.
-        cache: of the user.
-        command: as after `giajax`.
+        checkout: root of the project, in this or another version.
+        cache: cache directory of the user.
+        command: words after `giajax`.
 
     Returns:
-        Its times in s, and what it compiled.
+        The times in s, and the numbers of compiled and cached programs.
     """
     environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-    # An installed package has its bytecode.
+    # An installed package comes with its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     done = subprocess.run(
         [sys.executable, "-c", _PROCESS, *command],
@@ -120,17 +120,17 @@ def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, An
 def fitted(
     checkout: Path, cache: Path, out: Path, options: list[str], fit: Path | None = None
 ) -> dict[str, Any]:
-    """Run a fit by the source of a checkout in a process of its own.
+    """Run a fit in a separate process, with the source of a checkout.
 
     Arguments:
-        checkout: root of the project, of this or of another version.
-        cache: of the user.
+        checkout: root of the project, in this or another version.
+        cache: cache directory of the user.
         out: folder of the result.
-        options: further ones of `giajax fit`.
-        fit: its definition; by default its own of the base step.
+        options: further options of `giajax fit`.
+        fit: definition file; by default, the base-step definition of the checkout.
 
     Returns:
-        Its times in s, what it compiled, and its estimates by path.
+        The times in s, the numbers of compiled and cached programs, and the estimates by path.
     """
     command = ["fit", str(fit or checkout / FIT), "--out", str(out), "--force", *options]
     found = process(checkout, cache, command)
@@ -141,12 +141,12 @@ def fitted(
 
 
 def measure(checkouts: dict[str, Path], cold: int, warm: int, options: list[str]) -> dict[str, Any]:
-    """Least times of each checkout, cold and warm, which take turns.
+    """Measure the least cold and warm times of each checkout; the checkouts take turns.
 
     Arguments:
-        checkouts: by name.
-        cold, warm: processes of each.
-        options: further ones of `giajax fit`.
+        checkouts: root of each checkout, by name.
+        cold, warm: number of processes of each kind.
+        options: further options of `giajax fit`.
     """
     kinds: dict[str, dict[str, list[dict[str, Any]]]] = {
         name: {"cold": [], "warm": []} for name in checkouts
@@ -168,11 +168,11 @@ def measure(checkouts: dict[str, Path], cold: int, warm: int, options: list[str]
 
 
 def steps(checkouts: dict[str, Path], options: list[str]) -> dict[str, dict[str, float]]:
-    """Least processor time of a step of the fits of each checkout, s, by definition.
+    """Measure the least processor time of a step for each definition and checkout, s.
 
     Arguments:
-        checkouts: by name.
-        options: further ones of `giajax fit`.
+        checkouts: root of each checkout, by name.
+        options: further options of `giajax fit`.
     """
     found: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -180,7 +180,7 @@ def steps(checkouts: dict[str, Path], options: list[str]) -> dict[str, dict[str,
         for each in STEPS:
             found[each] = {}
             for name, path in checkouts.items():
-                # Each version reads its own definitions.
+                # Each version reads the definitions of its own checkout.
                 file = path / "fits" / f"{each}.toml"
                 process = fitted(path, root / f"cache {name}", root / name, options, file)
                 found[each][name] = process["step_s"]
@@ -196,7 +196,7 @@ def _least(processes: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def ratios(found: dict[str, Any]) -> dict[str, float]:
-    """Processor time of this checkout over that of the other, cold and warm."""
+    """Return the processor time of this checkout divided by that of the other, cold and warm."""
     here, beside = found["here"], found["beside"]
     return {kind: here[kind]["processor_s"] / beside[kind]["processor_s"] for kind in here}
 
@@ -221,7 +221,7 @@ def show(found: dict[str, Any], console: Console) -> None:
 
 
 def are_held(found: dict[str, Any]) -> bool:
-    """Whether the limits are, where there is something to compare with."""
+    """Return whether all limits are respected; without another checkout, there are no limits."""
     beside = [each for each in found.get("steps", {}).values() if "beside" in each]
     return all(ratio <= MOST[kind] for kind, ratio in found.get("ratios", {}).items()) and all(
         each["here"] <= MOST_OF_A_STEP * each["beside"] for each in beside
@@ -229,7 +229,7 @@ def are_held(found: dict[str, Any]) -> bool:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     paths = {"beside": "another checkout of giajax"}
     switches = {"steps": "measure a step of four definitions, too"}
     out = RESULTS / "fit_process.json"

@@ -1,11 +1,12 @@
-"""Fits that used to crawl or stall: a real pendulum from every side, and data that no arm can make.
+"""Difficult fits: a real pendulum from distant initial guesses, and data that no arm can produce.
 
-The pendulum swings for 120 s, with Coulomb friction, the drag of the air and no damping; its angle
-has a noise of 0.05 degrees and a clock that is off by 1 ms. Friction, C_D, length, centre of mass,
-damping and the first state of each window of 3 s are free, from all corners of a box around the
-truth: each fit is to reach the optimum in at most 25 iterations, with a robust loss, too. Of a
-driven arm the axes y and z are swapped, or the recording is a random walk or a constant: such a fit
-is to end within 60 s, and to say why.
+The pendulum swings for 120 s with Coulomb friction and aerodynamic drag, but without damping. Its
+angle is measured with a noise of 0.05 degrees and with clock errors of 1 ms. Friction, C_D, length,
+centre of mass, damping and the initial state of each window of 3 s are free. The initial guesses
+are all corners of a box around the true values. Each fit must reach the optimum within 25
+iterations, with a linear and with a robust loss. In the second part, the data are those of a driven
+arm with the y and z axes swapped, a random walk, or a constant. These fits must end within 60 s and
+give a reason.
 
     python -m benchmarks.hard [--quick] [--out FILE]
 """
@@ -25,7 +26,7 @@ from giajax.recordings import windows
 
 MOST_ITERATIONS, MOST_SECONDS = 25, 60.0
 
-# Paths, true values, and by what factor a start is off, up or down.
+# Path, true value, and the factor by which the initial guess is too large or too small.
 PENDULUM = {
     "joints.friction": (5e-4, 3.0),
     "air.drag_coefficient": (1.2, 3.0),
@@ -41,12 +42,12 @@ _KNOWN = {
 }
 _NOISE_DEG, _JITTER, _WINDOW, _RATE = 0.05, 1e-3, 3.0, 25
 
-# A cost that is higher than the least by more than this part of it is no optimum, or another one.
+# A fit whose cost exceeds the lowest cost by more than this fraction has not reached the optimum.
 _SAME = 1e-5
 
 
 def swing(seconds: float) -> list[Run]:
-    """A recording of the pendulum in windows, read with the right preset and nothing else."""
+    """Simulate a recording of the pendulum, split into windows, with the correct preset."""
     parameters = {**_KNOWN, **{path: true for path, (true, _) in PENDULUM.items()}}
     arm = {"preset": "pendulum", "links": 1, "parameters": parameters}
     random = np.random.default_rng(3)
@@ -67,7 +68,7 @@ def swing(seconds: float) -> list[Run]:
 
 
 def corner(ups: Sequence[int]) -> dict[str, float]:
-    """A start that is off by the whole factor, up (1) or down (-1)."""
+    """Return an initial guess that is too large (1) or too small (-1) by the full factor."""
     off = {
         path: true * by**up for (path, (true, by)), up in zip(PENDULUM.items(), ups, strict=True)
     }
@@ -77,7 +78,7 @@ def corner(ups: Sequence[int]) -> dict[str, float]:
 def from_every_side(
     seconds: float, corners: Sequence[Sequence[int]], losses: Sequence[str], steps: int = 50
 ) -> dict[str, Any]:
-    """How the fits of the pendulum ended, by loss."""
+    """Fit the pendulum from each corner, and return how the fits ended, by loss."""
     runs = swing(seconds)
     ends: dict[str, list[dict[str, Any]]] = {loss: [] for loss in losses}
     for ups, (loss, rows) in itertools.product(corners, ends.items()):
@@ -99,7 +100,7 @@ def from_every_side(
 
 
 def impossible(links: int, seconds: float) -> dict[str, Any]:
-    """How the fits of data that no arm can make ended, by what is wrong with the data."""
+    """Fit data that no arm can produce, and return how the fits ended, by the defect."""
     times = np.linspace(0.0, seconds, int(10 * seconds) + 1)
     ramp = np.clip(times - 0.5, 0, 1)
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.4 * ramp}
@@ -147,7 +148,7 @@ def _shown(end: dict[str, Any]) -> str:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
     options = command_line(__doc__, RESULTS / "hard.json")
     corners = list(itertools.product((1, -1), repeat=len(PENDULUM)))

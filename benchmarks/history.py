@@ -1,9 +1,10 @@
-"""The ratios of `make bench` by commit, and whether one has fallen.
+"""Check whether a ratio of `make bench` has decreased since an earlier commit.
 
-`history.jsonl` has a line for each commit that was recorded; only ratios can be compared between
-machines. A ratio is what a peer takes over what giajax takes: one that falls by a fifth against the
-last line for the same problem, or is not measured any more, is a failure. Ratios of giajax's own
-solvers, and those of two cores, which move with the load of a machine, are stored and not judged.
+`history.jsonl` has one line for each commit that was recorded. It stores ratios, because times
+cannot be compared between machines. A ratio is the time of a peer divided by the time of giajax.
+The check fails if a ratio is a fifth smaller than in the last line for the same problem, or if it
+is no longer measured. Ratios of giajax's own solvers and of two cores are stored but not checked,
+because they depend on the load of the machine.
 
     python -m benchmarks.history BENCH_JSON [--history FILE]
 """
@@ -22,7 +23,7 @@ NOT_JUDGED = ("batch:", "giajax:", "run: Tsit5", "gradient: Tsit5")
 
 
 def record(found: Mapping[str, Any], path: Path = HISTORY) -> None:
-    """Append the ratios of a measurement, with the commit that they are of."""
+    """Append the ratios of a measurement, with the current commit."""
     kept = ("date", "machine", "versions", "problem", "ratios")
     line = {"commit": _commit(), **{key: found[key] for key in kept}}
     with path.open("a", encoding="utf-8") as file:
@@ -30,7 +31,10 @@ def record(found: Mapping[str, Any], path: Path = HISTORY) -> None:
 
 
 def fallen(found: Mapping[str, Any], path: Path = HISTORY) -> list[str]:
-    """A sentence for each ratio that fell by a fifth or is missing; none if nothing is stored."""
+    """Return a sentence for each ratio that decreased by a fifth or is missing.
+
+    The list is empty if no measurement is stored.
+    """
     before = last(found["problem"], path)
     if before is None:
         return []
@@ -46,20 +50,20 @@ def fallen(found: Mapping[str, Any], path: Path = HISTORY) -> list[str]:
         f"{name!r} fell from {old:.2f} ({before['commit']}) to {now[name]:.2f}: find out what made "
         "giajax slower, or record the new one with --record"
         for name, old in judged.items()
-        # Written so that a NaN has fallen.
+        # The condition also selects a NaN.
         if name in now and not now[name] >= (1 - FALL) * old
     ]
 
 
 def last(problem: Mapping[str, Any], path: Path = HISTORY) -> dict[str, Any] | None:
-    """The last line for a problem."""
+    """Return the last line for a problem, or None."""
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     entries = [json.loads(line) for line in lines if line.strip()]
     return next((each for each in reversed(entries) if each["problem"] == problem), None)
 
 
 def _commit() -> str:
-    """Of the working tree, with a mark where it has been changed since."""
+    """Return the commit of the working tree, marked as dirty if files have been changed."""
     command = ["git", "describe", "--always", "--dirty", "--abbrev=10", "--exclude=*"]
     try:
         ended = subprocess.run(command, capture_output=True, text=True, cwd=HISTORY.parent)
@@ -69,7 +73,7 @@ def _commit() -> str:
 
 
 def judge(found: Mapping[str, Any], path: Path = HISTORY) -> int:
-    """Print what fell; returns the exit status, 1 where something did."""
+    """Print the ratios that decreased, and return the exit status, 1 if there are any."""
     if last(found["problem"], path) is None:
         print(f"{path.name} has nothing to compare this problem with: --record stores it")
     sentences = fallen(found, path)
@@ -79,7 +83,7 @@ def judge(found: Mapping[str, Any], path: Path = HISTORY) -> int:
 
 
 def main() -> int:
-    """Judge a file that `make bench` wrote."""
+    """Check a file that `make bench` has written."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("found", type=Path, help="what `python -m benchmarks.bench` wrote")
     parser.add_argument("--history", type=Path, default=HISTORY, help="ratios to compare with")

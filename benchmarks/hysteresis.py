@@ -1,9 +1,9 @@
-"""Play operators: the two scans and a numpy loop, with gradient and peak memory.
+"""Play operators: time and memory of the two scans and of a NumPy loop, with and without gradient.
 
     python -m benchmarks.hysteresis [--samples 100000] [--thresholds 200] [--repeats 3] [--json]
 
-One process each, so that the peak of one is not that of another. Ratios within one call say more
-than seconds on a shared machine.
+Each method runs in a separate process, because the peak memory is a property of the process.
+On a shared machine, compare only the ratios within one call.
 """
 
 import argparse
@@ -20,7 +20,7 @@ METHODS = ("scan", "associative", "numpy")
 
 
 def numpy_loop(inputs: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """The definition, one sample after the other, all thresholds at once."""
+    """Evaluate the definition sample by sample, for all thresholds at once."""
     w = np.zeros_like(thresholds)
     rows = np.empty((len(inputs), len(thresholds)))
     for k, u in enumerate(inputs):
@@ -30,7 +30,7 @@ def numpy_loop(inputs: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 
 def numpy_gradient(inputs: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
-    """Derivative of the sum of all plays by the thresholds, written out by hand."""
+    """Return the derivative of the sum of all plays with respect to the thresholds, by hand."""
     w = np.zeros_like(thresholds)
     slope = np.zeros_like(thresholds)
     total = np.zeros_like(thresholds)
@@ -42,19 +42,22 @@ def numpy_gradient(inputs: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 
 def peak_mib() -> float:
-    """Largest memory that the process has held so far, MiB."""
+    """Return the peak memory of the process so far, MiB."""
     size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return size / (1024 if sys.platform != "darwin" else 1024**2)
 
 
 def history(samples: int, thresholds: int) -> tuple[np.ndarray, np.ndarray]:
-    """A random walk and the thresholds, without 0, where a play has no derivative."""
+    """Return a random walk and the thresholds, without 0, where a play is not differentiable."""
     walk = np.cumsum(np.random.default_rng(0).normal(scale=0.05, size=samples))
     return walk, np.linspace(0.02, 4.0, thresholds)
 
 
 def measure(method: str, samples: int, thresholds: int, repeats: int) -> dict[str, object]:
-    """Times of one method in this process, its peak memory, and a number to compare."""
+    """Measure the times and the peak memory of one method in this process.
+
+    The sum of the gradient is returned to compare the methods.
+    """
     inputs, widths = history(samples, thresholds)
     if method == "numpy":
         before = peak_mib()
@@ -97,7 +100,7 @@ def measure(method: str, samples: int, thresholds: int, repeats: int) -> dict[st
 
 
 def main(arguments: list[str]) -> int:
-    """Measure each method in a process of its own and print a table."""
+    """Measure each method in a separate process and print a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--samples", type=int, default=100_000)
     parser.add_argument("--thresholds", type=int, default=200)

@@ -1,8 +1,9 @@
-"""One evaluation of the accelerations by the number of links, up to 160: at most 110 us.
+"""Time of one evaluation of the accelerations for up to 160 links; the limit is 110 us.
 
-Beside another checkout of giajax the two take turns, each in processes of their own, and the least
-of each counts. The limit was set where d753237 took 243 us: beside it, 160 links are to take at
-most 110 / 243 of its time, whatever the machine and the hour; the exit status says whether they do.
+If another checkout is given, the two checkouts take turns, each in separate processes, and the
+least times are compared. The limit was set when d753237 took 243 us. Relative to that version, the
+limit for 160 links is therefore 110 / 243, which does not depend on the machine or its load. The
+exit status is 1 if the limit is exceeded.
 
     python -m benchmarks.links [--quick] [--beside CHECKOUT] [--out FILE]
 """
@@ -32,7 +33,7 @@ from peers.arms import driven_arm, random_states
 
 try:
     from giajax.runtime.programs import program
-except ImportError:  # Of the first versions, which have no options of XLA.
+except ImportError:  # the first versions do not set XLA options
     program: Callable[..., Any] = jax.jit  # type: ignore[no-redef]
 
 MOST_MICROSECONDS, MOST_BESIDE = 110.0, 110 / 243
@@ -40,7 +41,7 @@ LONGEST = "160"
 
 
 def by_links(quick: bool) -> dict[str, float]:
-    """Microseconds of one evaluation, by the number of links."""
+    """Return the time of one evaluation by the number of links, us."""
     counts, times = ((3, 6), 10) if quick else ((20, 40, 80, 160), 500)
     found = {}
     for links in counts:
@@ -52,7 +53,7 @@ def by_links(quick: bool) -> dict[str, float]:
 
 
 def _evaluated(arm: Arm, state: dict[str, Any], count: int) -> None:
-    """So many evaluations, each of which needs the one before."""
+    """Compute `count` evaluations, each of which depends on the previous one."""
     jax.block_until_ready(_again(arm, state, np.asarray(count)))
 
 
@@ -65,9 +66,9 @@ def _again(arm: Arm, state: dict[str, Any], count: Any) -> Any:
 
 
 def alone(checkout: Path, quick: bool) -> dict[str, float]:
-    """`by_links` in a process of its own, by the source of a checkout."""
+    """Run `by_links` in a separate process, with the source of a checkout."""
     command = [sys.executable, "-m", "benchmarks.links", "here", *(["--quick"] if quick else [])]
-    # One thread, as the command line has: two take twice as long over the matrices of 160 links.
+    # Use one BLAS thread, like the command line. Two take twice as long for 160 links.
     environment = source_of(checkout) | {"OPENBLAS_NUM_THREADS": "1"}
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     if ended.returncode:
@@ -76,7 +77,7 @@ def alone(checkout: Path, quick: bool) -> dict[str, float]:
 
 
 def measure(checkouts: dict[str, Path], quick: bool) -> dict[str, dict[str, float]]:
-    """Least microseconds of each checkout by the number of links, in turns."""
+    """Measure the least time of each checkout by the number of links, us, in turns."""
     turns = [
         {name: alone(path, quick) for name, path in checkouts.items()}
         for _ in range(1 if quick else 3)
@@ -88,7 +89,7 @@ def measure(checkouts: dict[str, Path], quick: bool) -> dict[str, dict[str, floa
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limit is held."""
+    """Measure, print and store; return exit status 1 if the limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
     if sys.argv[1:2] == ["here"]:
         print(json.dumps(by_links("--quick" in sys.argv)))

@@ -1,4 +1,4 @@
-"""What the benchmarks share: their options, the least time of a call, and the file of figures."""
+"""Functions that the benchmarks share: options, timing, tables, and the file of results."""
 
 import argparse
 import json
@@ -25,15 +25,15 @@ def command_line(
     switches: Mapping[str, str] | None = None,
     **numbers: int,
 ) -> Any:
-    """The parsed command line of a benchmark: `quick`, `out`, and what else it may be told.
+    """Parse the command line of a benchmark: `--quick`, `--out`, and further options.
 
     Arguments:
-        description: of the benchmark; its first line is shown.
-        out: where it writes by default.
-        what: meaning of `out`.
-        paths: further files or folders, and what each is for.
-        switches: further options without a value, and what each is for.
-        numbers: further numbers with their defaults.
+        description: description of the benchmark; the help shows its first line.
+        out: default of `--out`.
+        what: help text of `--out`.
+        paths: help text of each further option that takes a file or folder, by name.
+        switches: help text of each further option without a value, by name.
+        numbers: default of each further option that takes a number, by name.
     """
     parser = argparse.ArgumentParser(description=(description or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a short arm, once: does it run?")
@@ -48,10 +48,10 @@ def command_line(
 
 
 def checkouts_of(beside: Path | None) -> dict[str, Path]:
-    """This checkout as "here" and, where one is given, another as "beside".
+    """Return this checkout as "here" and, if given, another one as "beside".
 
     Raises:
-        SystemExit: the other has no giajax, so that the installed one would be measured.
+        SystemExit: the other checkout has no giajax, so the installed version would be measured.
     """
     if beside is None:
         return {"here": ROOT}
@@ -61,13 +61,16 @@ def checkouts_of(beside: Path | None) -> dict[str, Path]:
 
 
 def source_of(checkout: Path) -> dict[str, str]:
-    """The environment of a process that imports the giajax of a checkout."""
+    """Return the environment of a process that imports giajax from a checkout."""
     paths = filter(None, [str(checkout / "src"), os.environ.get("PYTHONPATH")])
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def fastest(call: Callable[[], object], repeats: int) -> float:
-    """Least time of some calls after a first one, s; each must wait for its own result."""
+    """Return the least time of several calls, s, after one warm-up call.
+
+    The call must wait for its own result.
+    """
     call()
     times = []
     for _ in range(repeats):
@@ -80,7 +83,10 @@ def fastest(call: Callable[[], object], repeats: int) -> float:
 def in_turns(
     contenders: Mapping[str, Callable[[], object]], repeats: int
 ) -> dict[str, dict[str, float]]:
-    """Least and median seconds of each contender, in turns, after one call that does not count."""
+    """Return the least and the median time of each contender, s.
+
+    The contenders take turns. The first call of each is not measured.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for repeat in range(repeats + 1):
         for name, call in contenders.items():
@@ -95,7 +101,7 @@ def in_turns(
 
 
 def spread(times: Mapping[str, float], unit: float) -> str:
-    """Least and median time as a cell of a table."""
+    """Format the least and the median time for a cell of a table."""
     return f"{times['min'] * unit:.3g} / {times['median'] * unit:.3g}"
 
 
@@ -105,13 +111,13 @@ def report(
     measure: Callable[[bool], dict[str, Any]],
     table: Callable[[dict[str, Any]], Table],
 ) -> None:
-    """The whole of a benchmark: measure in 64-bit, show a table and write the figures.
+    """Run a benchmark: measure in 64-bit arithmetic, print a table and write the figures.
 
     Arguments:
-        description: of the benchmark; its first line is shown.
-        name: of its file among `RESULTS`, where no other is asked for.
-        measure: the figures; quickly, if so told.
-        table: of the figures.
+        description: description of the benchmark; the help shows its first line.
+        name: name of the default file in `RESULTS`.
+        measure: returns the figures; its argument is whether the measurement must be quick.
+        table: returns the table of the figures.
     """
     import jax
 
@@ -125,7 +131,7 @@ def report(
 
 
 def columns(title: str, *headings: str) -> Table:
-    """An empty table whose cells, apart from those below an empty heading, are figures."""
+    """Return an empty table; columns without a heading hold text, the others hold numbers."""
     table = Table(title=title)
     for heading in headings:
         table.add_column(heading, justify="right" if heading else "left")

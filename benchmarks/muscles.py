@@ -1,7 +1,8 @@
-"""What muscles cost: 25 s of the 20-link arm with them over the same with springs, in one run.
+"""Time to simulate 25 s of the 20-link arm with muscles, relative to the same arm with springs.
 
-The base joint is sent to 30 degrees within a second. With muscles in the pitch joints the arm is
-driven by the angles of their controller or by its pressures; contenders take turns.
+The base joint is commanded to 30 degrees within one second. The muscles act in the pitch joints.
+The command is either the joint angles, which the controller of the muscles converts, or the
+pressures. The contenders take turns.
 
     python -m benchmarks.muscles [--quick] [--out FILE]
 """
@@ -23,7 +24,7 @@ TOLERANCE = 1e-6
 
 
 def motions(links: int, seconds: float) -> dict[str, Callable[[], Trajectory]]:
-    """What is simulated, by what drives the arm and the method."""
+    """Return the simulations by name; they differ in the input of the arm and the method."""
     command = joint_ramps(links, {1: np.deg2rad(30.0)}, start=0.5, duration=1.0)
     springs, muscles = takeichi_20m(links), takeichi_20m(links, muscles="pitch")
     assert muscles.pneumatics is not None

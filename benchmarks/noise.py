@@ -1,9 +1,9 @@
-"""What it costs a fit to look for correlated noise: at most 1.3 times a fit with white noise.
+"""Time of a fit that estimates correlated noise, relative to a fit with white noise; limit 1.3.
 
-Both fit the same files from the same starts, in turns and in one process, so that nothing is
-compiled any more; the least processor time of each counts. Where the noise is correlated, a fit
-takes steps again with the new weights, and white noise does not. What is less than a quarter of
-a second more is shown and not counted.
+Both fits use the same files and initial guesses, and take turns in one process, so nothing is
+compiled during the measured calls. The least processor times are compared. If the noise is
+correlated, the fit takes further steps with the new weights. Differences of less than a quarter of
+a second are shown but ignored.
 
     python -m benchmarks.noise [--quick] [--out FILE]
 """
@@ -21,12 +21,12 @@ MOST = 1.3
 DEFINITIONS = (
     "joint_loops", "muscle", "base_step", "independent_base_step", "full_air", "pitch_yaw"
 )  # fmt: skip
-# What nobody notices, s: a fit of a few hundred cells takes a tenth of a second.
+# Differences below this are ignored, s: a fit of a few hundred cells takes a tenth of a second.
 UNNOTICED = 0.25
 
 
 def taken(name: str, repeats: int) -> dict[str, Any]:
-    """Processor time of a fit of both kinds, s, and how many steps each takes."""
+    """Measure the processor time, s, and the number of steps of a fit with each noise model."""
     ready = {
         model: FitTask.load(f"fits/{name}.toml").on_top(noise_model=model).prepare()
         for model in ("white", "correlated")
@@ -45,7 +45,7 @@ def taken(name: str, repeats: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether it is cheap enough."""
+    """Measure, print and store; return exit status 1 if the ratio exceeds the limit."""
     jax.config.update("jax_enable_x64", True)
     options = command_line(__doc__, RESULTS / "noise.json")
     names, repeats = (DEFINITIONS[:1], 1) if options.quick else (DEFINITIONS, 5)

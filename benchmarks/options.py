@@ -1,9 +1,9 @@
-"""What each option of the arm costs: one evaluation with it, over the plain one, in one run.
+"""Time of one evaluation with each option of the arm, relative to the plain arm.
 
-The plain arm is the paper's 20 links. Every contender evaluates the accelerations many times in
-one compiled loop, each from the result of the one before; contenders take turns. What the model
-leaves out must cost nothing, and what it takes in at most 1.5 times the plain evaluation, drag
-along the links by 3 points at most twice.
+The plain arm is the paper's 20-link arm. Each contender evaluates the accelerations many times in
+one compiled loop, in which each evaluation depends on the previous one. The contenders take turns.
+An omitted effect must cost nothing. The limit for an included effect is 1.5 times the plain
+evaluation, and twice the plain evaluation for strip drag with 3 points per link.
 
     python -m benchmarks.options [--quick] [--out FILE]
 """
@@ -22,7 +22,7 @@ from peers.arms import random_states
 
 
 def variants(links: int) -> dict[str, tuple[Arm, float | None]]:
-    """Arms with one option each, and the most that it may cost; None: no limit of its own."""
+    """Return an arm for each option, and its limit relative to the plain arm; None for no limit."""
 
     def arm(**changes: Any) -> Arm:
         return takeichi_20m(links, **changes)
@@ -63,16 +63,16 @@ def variants(links: int) -> dict[str, tuple[Arm, float | None]]:
 
 
 def evaluations(arms: dict[str, Arm], loop: int, repeats: int) -> dict[str, dict[str, float]]:
-    """Seconds of one evaluation of each arm."""
+    """Measure the seconds of one evaluation of each arm."""
     links = next(iter(arms.values())).count
     state = {name: value[0] for name, value in random_states(links, 1).items()}
     start = tuple(state[name] for name in ("angles", "rates", "command"))
 
-    # With the options of the compiler with which a simulation runs: others hand small operations
-    # from thread to thread, which doubles the times of some processes and not of others.
+    # Use the compiler options of a simulation. With other options, XLA passes small operations
+    # from thread to thread, which doubles the times of some processes but not of others.
     @program
     def many(arm: Arm, angles: Any, rates: Any, command: Any) -> Any:
-        # Each evaluation needs the one before: none may be left out or done at once.
+        # Each evaluation depends on the previous one, so XLA cannot omit or merge any.
         def again(_: Any, angles: Any) -> Any:
             return angles + 1e-9 * acceleration(arm, angles, rates, command)
 

@@ -1,12 +1,12 @@
-"""Optimisers for `giajax plan`, on the problem that it solves: how fast a command, and how soon.
+"""Optimisers for `giajax plan`: duration of the planned command, and time of the search.
 
-The paper's arm in full air turns its base joint by 20 degrees. Beside SLSQP of scipy, which the
-package uses: Levenberg-Marquardt of optimistix on what is not kept (its squares, weighed more and
-more: Nocedal and Wright, Numerical Optimization, chapter 17), scipy's trust-region interior point
-method, and where they are installed (`pip install qpax slsqp-jax`) steps of Gauss-Newton whose
-quadratic programmes qpax solves, and slsqp-jax. A command is as good as it is short, where it keeps
-to all limits. A search is timed a second time where the first is short; those of JAX are compiled
-in each.
+The paper's arm in full air turns its base joint by 20 degrees. The package uses SLSQP from scipy.
+The alternatives are Levenberg-Marquardt from optimistix with a quadratic penalty on the violations,
+whose weight increases (Nocedal and Wright, Numerical Optimization, chapter 17), the trust-region
+interior point method from scipy and, if they are installed (`pip install qpax slsqp-jax`),
+Gauss-Newton steps whose quadratic programmes are solved by qpax, and slsqp-jax. Among the commands
+that respect all limits, the shortest is the best. A short search is repeated, and the second time
+is reported, too. Both times of the JAX optimisers include compilation.
 
     python -m benchmarks.planning [--quick] [--out FILE]
 """
@@ -29,10 +29,10 @@ from giajax.apps.planning import CommandLimits, PlanProblem, Pose, plan_command
 
 STEPS, KNOTS = 150, 10
 SHORT, LONG = 3, 20
-SCALE = 0.02  # of what is not kept, beside which it is as good as kept
+SCALE = 0.02  # violation that is negligible
 WEIGHTS = (1.0, 10.0, 100.0)
-DAMPED = 1e-2  # at most, where a small gain is the end
-LONGEST_S = 60.0  # of a first search that is timed again
+DAMPED = 1e-2  # largest damping at which a small gain ends the search
+LONGEST_S = 60.0  # a first search that takes less is repeated
 
 Found = tuple[np.ndarray, int]
 
@@ -67,7 +67,7 @@ def by_interior_point(task: PlanProblem) -> Found:
 
 
 def _missing(task: PlanProblem, y: Any) -> Any:
-    """What is not kept of everything, in units of what may be overlooked."""
+    """Return the violation of each limit, divided by the negligible violation."""
     lines = jnp.asarray(task.linear) @ y + jnp.asarray(task.offset)
     low, high = jnp.asarray(task.low), jnp.asarray(task.high)
     every = jnp.concatenate([task.kept(y), lines, y - low, high - y])
@@ -79,7 +79,7 @@ def by_levenberg_marquardt(task: PlanProblem) -> Found:
     cost = jnp.asarray(task.cost)
 
     def residuals(y: Any, weight: Any) -> Any:
-        # The cost is positive: its square root has the same least.
+        # The cost is positive, so its square root has the same minimiser.
         least = jnp.sqrt(2 * jnp.maximum(cost @ y, 1e-6))
         return jnp.concatenate([least[None], jnp.sqrt(weight) * _missing(task, y)])
 
@@ -99,7 +99,7 @@ def by_levenberg_marquardt(task: PlanProblem) -> Found:
 
 
 def by_qpax(task: PlanProblem) -> Found:
-    """The cost and the constraints as lines, with a damping that follows the merit."""
+    """Linearise the cost and the constraints, with a damping that follows the merit function."""
     import qpax  # type: ignore[import-not-found,unused-ignore]
 
     y, damping, hard, steps = task.start, 1e-2, 10.0, 0
@@ -167,7 +167,7 @@ OPTIMISERS: dict[str, tuple[Callable[[PlanProblem], Found], str | None]] = {
 
 
 def judged(task: PlanProblem, found: np.ndarray) -> dict[str, float]:
-    """How long the command is, and by how much the worst of all limits is not kept."""
+    """Return the duration of the command, and the largest violation of a limit."""
     y = np.concatenate([found[:-2], np.zeros(2)])
     worst = np.nanmin(
         [

@@ -1,7 +1,8 @@
-"""25 s of the arm with the physics that a real one has, over the plain arm at the same error.
+"""Time to simulate 25 s of arms with more physics, relative to the plain arm at the same error.
 
-Each arm runs at the loosest tolerance at which its tip is right to 1e-4 m, alone and with the
-derivatives by four parameters; in turns, least times.
+Each arm is simulated with the largest tolerance that keeps the error of its tip below 1e-4 m, once
+without derivatives and once with the derivatives with respect to four parameters. The arms take
+turns, and the least times are compared.
 
     python -m benchmarks.right_model [--quick] [--out FILE]
 """
@@ -18,7 +19,7 @@ from giajax import joint_ramps, replace, simulate, takeichi_20m, takeichi_20m_fu
 from giajax.mechanics.arm import Arm
 from giajax.runtime.programs import program
 
-ACCURACY = 1e-4  # m, of the tip
+ACCURACY = 1e-4  # error of the tip, m
 TOLERANCES = (3e-4, 2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)
 PATHS = (
     "air.drag_coefficient",
@@ -30,7 +31,7 @@ PATHS = (
 MEMORY = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001}
 STOPS = {"joints.stops.strength": [0.03, 0.03], "joints.stops.yield_angle": [1e-3, 4e-3]}
 
-# What each may take over the plain arm: a run, and one with its derivatives.
+# Limits relative to the plain arm: of a run, and of a run with its derivatives.
 ALLOWED = {
     "full air": (1.3, 1.7),
     "memory": (2.0, 2.5),
@@ -41,7 +42,7 @@ ALLOWED = {
 
 
 def arms(links: int) -> dict[str, Arm]:
-    """The plain arm and those with more."""
+    """Return the plain arm and the arms with more physics."""
     damped = {"joints.damping": 0.5}
     return {
         "plain": takeichi_20m(links),
@@ -63,7 +64,7 @@ def measure(quick: bool) -> dict[str, Any]:
         motion = simulate(own, command, times, rtol=tolerance, atol=tolerance)
         return motion.tip, motion.steps
 
-    # As a fit compiles them.
+    # Compile the functions as a fit does.
     run, with_slopes = program(moved), program(jax.jacfwd(moved, argnums=1, has_aux=True))
     found: dict[str, Any] = {}
     contenders: dict[str, Any] = {}
@@ -103,7 +104,7 @@ def table(found: dict[str, Any]) -> Table:
     )
     for name, each in found["arms"].items():
         allowed = ALLOWED.get(name, (1.0, 1.0))
-        # What is right at none of the tolerances runs at the least, and says how wrong it is.
+        # An arm that never reaches the accuracy ran at the least tolerance: show its error.
         wrong = f" ({each['error']:.1g} m)" if each["error"] > ACCURACY else ""
         cells = [f"{each['tolerance']:g}{wrong}", " + ".join(map(str, each["steps"]))]
         for of, most in zip(("run", "slopes"), allowed, strict=True):

@@ -1,8 +1,8 @@
-"""What large problems take: long recordings, many runs, many samples.
+"""Time and peak memory of large problems: long recordings, many runs, many samples.
 
-Each in a process of its own, for its peak memory: the fit of 30,000 rows of an arm whose log is a
-smooth command (at most 60 s and 1.5 GB), the fit of 100 runs, and the fit of a hysteresis loop of
-100,000 samples. Compiling counts.
+The benchmark fits 30,000 rows of an arm with a smooth logged command (limits: 60 s and 1.5 GB), 100
+runs, and a hysteresis loop of 100,000 samples. Each fit runs in a separate process, so its peak
+memory can be measured. The times include compilation.
 
     python -m benchmarks.size [--quick] [--out FILE]
 """
@@ -27,7 +27,7 @@ MOST_SECONDS, MOST_MEGABYTES = 60.0, 1500.0
 
 
 def driven(rows: int, rate: float, links: int, seed: int = 0) -> Run:
-    """A recording of an arm whose logged command is smooth, at `rate` rows a second."""
+    """Simulate the recording of an arm with a smooth logged command, at `rate` rows per second."""
     times = np.arange(rows) / rate
     random = np.random.default_rng(seed)
     phase = random.uniform(0, 2 * np.pi, 3)
@@ -48,7 +48,7 @@ def driven(rows: int, rate: float, links: int, seed: int = 0) -> Run:
 
 
 def loop(rows: int) -> Run:
-    """A hysteresis loop of a play operator with many turns."""
+    """Simulate a hysteresis loop of a play operator with many turning points."""
     times = np.linspace(0.0, 100.0, rows)
     size = 1 + 0.5 * np.sin(0.37 * times)
     plan = {"input": size * np.sin(times), "output": np.zeros(rows)}
@@ -74,7 +74,7 @@ def many_samples(quick: bool) -> dict[str, Any]:
 
 
 def fitted(runs: list[Run], start: dict[str, float]) -> dict[str, Any]:
-    """How long a fit took, and how it ended."""
+    """Fit the runs, and return the time and how the fit ended."""
     began = time.perf_counter()
     result: FitResult = fit(model_for(runs), runs, start=start)
     return {
@@ -94,9 +94,9 @@ CASES: dict[str, Callable[[bool], dict[str, Any]]] = {
 
 
 def alone(case: str, quick: bool) -> dict[str, Any]:
-    """A case in a process of its own; its memory is beside its figures."""
+    """Run a case in a separate process, and return its figures with the peak memory."""
     command = [sys.executable, "-m", "benchmarks.size", case, *(["--quick"] if quick else [])]
-    # As the command line has it.
+    # The command line uses one BLAS thread, too.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment)
     if ended.returncode:
@@ -105,11 +105,11 @@ def alone(case: str, quick: bool) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
     if len(sys.argv) > 1 and sys.argv[1] in CASES:
         found = CASES[sys.argv[1]]("--quick" in sys.argv)
-        # Linux counts in kB, macOS in bytes.
+        # Linux reports kB, macOS reports bytes.
         unit = 1024**2 if sys.platform == "darwin" else 1024
         found["peak_megabytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
         print(json.dumps(found))

@@ -1,7 +1,7 @@
-"""What `giajax --help` takes, over `import typer, rich`: at most 1.5 times.
+"""Time of `giajax --help` divided by the time of `import typer, rich`; the limit is 1.5.
 
-Both are processes of their own that take turns, and the least of each counts: their processor
-time, which another program beside them lengthens less than the time on the clock.
+The two commands run as separate processes in turns. The reported time is the least processor time,
+which depends less on the load of the machine than wall time.
 
     python -m benchmarks.startup [--quick]
 """
@@ -18,7 +18,7 @@ _TWO = {
 
 
 def seconds_of(code: str) -> float:
-    """Processor time of a process that runs this Python, in seconds."""
+    """Return the processor time of a process that runs this Python code, s."""
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -28,10 +28,10 @@ def seconds_of(code: str) -> float:
 
 
 def main() -> int:
-    """Measure, print, and say by the exit status whether it is fast enough."""
+    """Measure and print; return exit status 1 if the ratio exceeds the limit."""
     rounds = 3 if "--quick" in sys.argv[1:] else 15
     for code in _TWO.values():
-        seconds_of(code)  # so that both are compiled to bytecode and read from the disk's cache
+        seconds_of(code)  # fills the bytecode and disk caches
     taken: dict[str, list[float]] = {name: [] for name in _TWO}
     for _ in range(rounds):
         for name, code in _TWO.items():

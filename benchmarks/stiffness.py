@@ -1,8 +1,9 @@
-"""Stiff joints: what an error at the tip costs with each method, and the order of `springs5`.
+"""Stiff joints: computing time of each method for a given error, and the order of `springs5`.
 
-The 20-link arm of the paper, joints 1 and 2 driven, 25 s, for several yaw stiffnesses. A method's
-cost at an error is read from its work-precision curve, between two tolerances. The order is that
-of steps of one length on a shorter arm, at the steps and between them.
+The problem is the paper's 20-link arm with joints 1 and 2 driven, for 25 s and several yaw
+stiffnesses. The time for a given error of the tip is interpolated between two tolerances of the
+work-precision curve. The order of convergence is measured with steps of fixed length on a shorter
+arm, at the steps and between them.
 
     python -m benchmarks.stiffness [--quick] [--out DIR]
 """
@@ -48,7 +49,7 @@ def tip(arm: Arm, command: Signal, times: Any, tolerance: Any, solver: str) -> A
 def curves(
     links: int, seconds: float, stiffness: float, repeats: int, console: Console
 ) -> dict[str, list[dict[str, float]]]:
-    """Of each method: tolerance, error at the tip (m), steps and seconds."""
+    """Measure the tolerance, the error at the tip (m), the steps and the seconds of each method."""
     arm, command = driven_arm(links)
     arm = replace(arm, {"joints.yaw_stiffness": stiffness})
     times = jnp.linspace(0.0, seconds, round(seconds / 0.1) + 1)
@@ -74,7 +75,7 @@ def curves(
 
 
 def cost(curve: list[dict[str, float]], error: float) -> float | None:
-    """Seconds for an error, by the line between two points of a curve; None: never reached."""
+    """Interpolate the time for an error on a curve, s; None if the error is never reached."""
     best = None
     for before, after in zip([None, *curve[:-1]], curve, strict=True):
         if not after["error"] <= error:
@@ -89,7 +90,10 @@ def cost(curve: list[dict[str, float]], error: float) -> float | None:
 
 
 def pushed(stiffness: float, steps: int, solver: str, times: Any) -> Any:
-    """A second of an arm of 6 links, let go of in a cross-wind, by steps of one length."""
+    """Simulate one second of an arm of 6 links with steps of fixed length.
+
+    The arm starts from rest in a cross-wind.
+    """
     arm = takeichi_20m(6)
     arm = replace(arm, {"joints.yaw_stiffness": stiffness, "joints.damping": 0.3})
     target = constant([0.6, 0.0, 0.3, 0.0, 0.0, 0.0])
@@ -107,7 +111,7 @@ def pushed(stiffness: float, steps: int, solver: str, times: Any) -> Any:
 
 
 def convergence(quick: bool, console: Console) -> dict[str, Any]:
-    """Largest error of an angle, rad, by the number of steps in a second."""
+    """Return the largest error of an angle, rad, by the number of steps per second."""
     counts = [16, 32, 64] if quick else [8, 16, 32, 64, 128, 256, 512]
     times = np.linspace(0.0, 1.0, 41)
     found: dict[str, Any] = {"steps": counts}

@@ -1,9 +1,9 @@
-"""What a fit gains by choosing its tolerance: time of a step, and how far off the estimates are.
+"""The automatic tolerance of a fit: time of a step, and error of the estimates.
 
-A definition is fitted as it is and, from where that ends, at a tolerance of 1e-10: no estimate may
-differ by more than a hundredth of a standard error. The processor time of a step (value and
-Jacobian) is shown over that of one with Tsit5 at 1e-7, as fits used to take; the two take turns.
-With `--draws N`, so many recordings with other noise are fitted, too.
+Each definition is fitted, and fitted again with a tolerance of 1e-10 from the estimates of the
+first fit. The estimates must not differ by more than 0.01 standard errors. The table shows the
+processor time of a step (value and Jacobian) relative to Tsit5 at 1e-7, the former setting; the two
+take turns. With `--draws N`, N further recordings with newly drawn noise are fitted, too.
 
     python -m benchmarks.tolerance [--quick] [--draws N] [--out FILE]
 """
@@ -25,7 +25,7 @@ REFERENCE = 1e-10
 
 
 def fitted(run: Run, task: FitTask, **options: Any) -> tuple[FitResult, float]:
-    """The fit of a recording, and the least processor time of a step, s."""
+    """Fit a recording; return the result and the least processor time of a step, s."""
     times = [time.process_time()]
     settings = task.definition.fit
     result = fit(
@@ -38,12 +38,12 @@ def fitted(run: Run, task: FitTask, **options: Any) -> tuple[FitResult, float]:
         progress=lambda _: times.append(time.process_time()),
         **options,
     )
-    # Before the first one there is the choice.
+    # The first interval is left out, because it includes the choice of the tolerance.
     return result, float(np.min(np.diff(times[1:]), initial=np.inf))
 
 
 def drawn(run: Run, truth: FitResult, seed: int) -> Run:
-    """What a fitted model predicts for a recording, with other noise of the size that it has."""
+    """Simulate a recording with a fitted model, with new noise of the same standard deviation."""
     noise = np.random.default_rng(seed)
     predicted = truth.predict(run)
     deviations = {name: channel.rmse for name, channel in truth.runs[0].channels.items()}
@@ -63,7 +63,10 @@ def _si(run: Run, name: str, deviation: float | None) -> float:
 
 
 def off(result: FitResult, run: Run, task: FitTask) -> float:
-    """The largest distance of an estimate from the reference, in standard errors."""
+    """Return the largest error of an estimate, in units of the standard error.
+
+    The reference is a fit with the tolerance `REFERENCE`.
+    """
     ends = {path: each.value for path, each in result.free.items()}
     reference, _ = fitted(run, task, start=ends, tolerance=REFERENCE)
     known = [(path, each) for path, each in reference.free.items() if each.standard_error]
@@ -79,7 +82,7 @@ def _tolerance(result: FitResult) -> float:
 
 
 def figures(name: str, draws: int, repeats: int) -> dict[str, Any]:
-    """All figures of a definition."""
+    """Return all figures of a definition."""
     task = FitTask.load(f"fits/{name}.toml")
     (run,) = task.prepare().runs
     seconds: dict[str, list[float]] = {"chosen": [], "former": []}
@@ -104,7 +107,7 @@ def figures(name: str, draws: int, repeats: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Measure, print, store, and say by the exit status whether the limits are held."""
+    """Measure, print and store; return exit status 1 if a limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
     options = command_line(__doc__, RESULTS / "tolerance.json", draws=0)
     names, repeats = (DEFINITIONS[:1], 1) if options.quick else (DEFINITIONS, 3)

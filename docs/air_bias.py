@@ -1,11 +1,11 @@
-"""What a fit finds when its model leaves out some of the air: the table of docs/air.md.
+"""Bias of a fit whose model omits effects of the air: the table of docs/air.md.
 
     python docs/air_bias.py             measure, and write the table into docs/air.md
     python docs/air_bias.py --print     measure and print
 
-Runs of the arm in all of its air are fitted by the model that made them, and by models that leave
-a part out. The bias is that of the estimate, in per cent of the truth; the standard error is what
-the fit itself states.
+Simulated runs of the arm with all effects of the air are fitted with the model that generated them
+and with models that omit some effects. The bias is that of the estimate, in per cent of the true
+value. The standard error is the one that the fit reports.
 """
 
 import dataclasses
@@ -48,7 +48,7 @@ def _arm_model(run: Run) -> ArmModel:
 
 
 def breezy() -> Run:
-    """The same in a steady breeze that nobody recorded."""
+    """Simulate the same run in a steady breeze that is not recorded."""
     assert CALM.times is not None
     truth = replace(_arm_model(CALM), {**TRUTH, "air.wind": BREEZE})
     return synthesise(
@@ -62,7 +62,7 @@ def breezy() -> Run:
     )
 
 
-# What is fitted: the run, what becomes of the arm that made it, and what is free beside START.
+# For each row: the run, the change of the true arm, and the free parameters besides those of START.
 ROWS: dict[str, tuple[str, Callable[[Arm], Arm], tuple[str, ...]]] = {
     "what made it": ("calm", lambda arm: arm, ()),
     "no added mass": (
@@ -86,11 +86,11 @@ ROWS: dict[str, tuple[str, Callable[[Arm], Arm], tuple[str, ...]]] = {
 
 
 def fitted(row: str, runs: dict[str, Run]) -> FitResult:
-    """The fit of one row."""
+    """Fit one row of the table."""
     which, change, more = ROWS[row]
     model = ArmModel(change(_arm_model(runs["calm"]).arm))
     start = {**START, **{f"{path}[{axis}]": 0.0 for path in more for axis in range(3)}}
-    # What least squares makes of missing physics, before any noise model takes it for noise.
+    # White noise, because correlated noise would partly absorb the missing physics.
     return fit(
         model,
         runs[which],
@@ -102,7 +102,7 @@ def fitted(row: str, runs: dict[str, Run]) -> FitResult:
 
 
 def line(row: str, result: FitResult) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     drag, stiffness = (
         result.parameters[path] for path in ("air.drag_coefficient", "joints.pitch_stiffness")
     )
@@ -118,7 +118,7 @@ def line(row: str, result: FitResult) -> str:
 
 
 def table(runs: dict[str, Run]) -> str:
-    """The whole table, as Markdown."""
+    """Return the whole table as Markdown."""
     heads = ["air", "fitted with", "C_D", "error", "bias", "k, N m/rad", "error", "bias"]
     heads.append("residuals over noise")
     lines = ["| " + " | ".join(heads) + " |", "| --- | --- |" + " --- |" * 7]
@@ -132,7 +132,7 @@ def table(runs: dict[str, Run]) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Measure, and write or print; returns the exit status."""
+    """Measure, then write or print the table; return the exit status."""
     if arguments not in ([], ["--print"]):
         print(f"usage: {Path(__file__).name} [--print]", file=sys.stderr)
         return 2

@@ -1,8 +1,7 @@
-"""How Sphinx makes the site of these pages: `make docs`.
+"""Sphinx configuration of the documentation site: `make docs`.
 
-The pages are Markdown, and are read in the repository as well as on the site. What is made at
-each build (the reference of Python's names, notebooks, pages from outside `docs`) is the business
-of `docs.machinery.site`.
+The pages are Markdown and can be read in the repository, too. `docs.machinery.site` generates the
+other pages at each build: the Python reference, the notebooks, and the pages from outside `docs`.
 """
 
 import sys
@@ -29,11 +28,11 @@ extensions = [
 ]
 exclude_patterns = ["machinery", "_build"]
 
-# What a key must be is quoted as a file has it, and options begin with two hyphens.
+# Quoted values must look as they do in a file, and options begin with two hyphens.
 smartquotes = False
-# Headings of pages are targets of links, as they are in the repository.
+# Links can lead to headings, as in the repository.
 myst_heading_anchors = 4
-# `name` in a docstring is code, as it is in Markdown.
+# In a docstring, `name` is code, as in Markdown.
 default_role = "literal"
 highlight_language = "none"
 
@@ -46,11 +45,11 @@ python_display_short_literal_types = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
 toc_object_entries = False
-# Types of other packages are no links: a build asks no other site.
-# What giajax exports is linked (`docs.machinery.site`), what is private in it is not.
+# Types of other packages are not linked, because a build must not access other sites. Public names
+# of giajax are linked (`docs.machinery.site`), private ones are not.
 nitpick_ignore_regex = [("py:.*", r"(?!giajax\.).*"), ("py:.*", r"giajax\.(.*\.)?_.*")]
 
-# The pages use nothing of the theme's own: another one is another name here.
+# The pages use no features specific to the theme, so it can be replaced here.
 html_theme = "furo"
 html_title = "giajax"
 html_show_sourcelink = False

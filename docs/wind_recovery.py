@@ -1,11 +1,11 @@
-"""Winds that are known, found again from simulated recordings: the table of docs/wind.md.
+"""Known winds, estimated from simulated recordings: the table of docs/wind.md.
 
     python docs/wind_recovery.py            measure, and write the table into docs/wind.md
     python docs/wind_recovery.py --print    measure and print
 
-An arm rests in gusts, simulated with all of its non-linear drag, and a camera records its links. A
-pull is an estimate's distance from the truth in its own standard error (of its logarithm); over
-many seeds pulls should have the mean 0 and the deviation 1.
+An arm rests in gusts. The simulation includes the non-linear drag, and a camera records the links.
+A pull is the error of the logarithm of an estimate divided by its standard error. Over many seeds,
+the pulls should have a mean of 0 and a standard deviation of 1.
 """
 
 import sys
@@ -28,14 +28,14 @@ NOISE = 1e-3
 FREE = ("speed", "deviation", "length_scale")
 
 LINKS, LASTS, SEEDS = 3, 600.0, 10
-# Intensity, and frequencies that gusts are made of.
+# Intensity, and number of frequencies of which the gusts consist.
 CASES = ((0.1, 3000), (0.2, 3000), (0.4, 3000), (0.1, 400))
-# Until the arm has come from straight to its rest, s.
+# Time in which the straight arm reaches its position of rest, s.
 SKIP = 30.0
 
 
 def recording(model: ArmModel, intensity: float, lines: int, seed: int) -> Run:
-    """The arm in gusts, as a camera of 5 Hz shows y and z of its links."""
+    """Simulate the arm in gusts, recorded by a camera at 5 Hz that shows y and z of its links."""
     count = model.arm.count
     wind = gusts(
         MEAN,
@@ -47,7 +47,7 @@ def recording(model: ArmModel, intensity: float, lines: int, seed: int) -> Run:
         places=np.asarray(link_centres(model.arm, jnp.zeros(count))),
         lines=lines,
     )
-    # The wind is straight between its rows: those are twice as many as the camera's.
+    # The wind is linear between its rows, which are twice as many as those of the camera.
     run = synthesise(
         model,
         wind.times,
@@ -64,7 +64,7 @@ def recording(model: ArmModel, intensity: float, lines: int, seed: int) -> Run:
 
 
 def found_again(model: ArmModel, run: Run) -> WindFit:
-    """The fit, begun with a weaker flow, stronger gusts and longer ones."""
+    """Fit the wind, starting from a weaker mean flow and stronger, longer gusts."""
     return fit_wind(
         model,
         run,
@@ -78,7 +78,7 @@ def found_again(model: ArmModel, run: Run) -> WindFit:
 
 
 def pulls(found: WindFit, intensity: float) -> list[float]:
-    """Of the free numbers."""
+    """Return the pulls of the free numbers."""
     speed = float(np.linalg.norm(MEAN))
     truth = {"speed": speed, "deviation": intensity * speed, "length_scale": LENGTH_SCALE}
     row = []
@@ -90,7 +90,7 @@ def pulls(found: WindFit, intensity: float) -> list[float]:
 
 
 def line(intensity: float, lines: int) -> str:
-    """One row of the table."""
+    """Return one row of the table."""
     model = ArmModel(takeichi_20m(LINKS))
     table, errors, misfits = [], [], []
     for seed in range(SEEDS):
@@ -109,7 +109,7 @@ def line(intensity: float, lines: int) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Measure, and write or print; returns the exit status."""
+    """Measure, then write or print the table; return the exit status."""
     if arguments not in ([], ["--print"]):
         print(f"usage: {Path(__file__).name} [--print]", file=sys.stderr)
         return 2

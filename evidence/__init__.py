@@ -1,11 +1,11 @@
-"""Studies that take too long for a test; what they found is kept in `docs/evidence`.
+"""Studies that take too long for a test; their figures are stored in `docs/evidence`.
 
-    python -m evidence           list them
+    python -m evidence           list the studies
     python -m evidence coverage  run one and write docs/evidence/coverage.json (`make evidence`)
 
-The documentation quotes those files. The tests run a fiftieth of each study again, with other
-random numbers, and ask whether its figures could be those of the same program. A new study is a
-module with a `Study`, and a line in `STUDIES`.
+The documentation quotes these files. The tests repeat a fiftieth of each study with other random
+numbers, and check that its figures are consistent with the stored ones. A new study is a module
+with a `Study`, and a line in `STUDIES`.
 """
 
 from ._bootstrap import BOOTSTRAP

@@ -1,4 +1,4 @@
-"""The command: run a study, write its file and the page that shows it."""
+"""Run a study, write its file, and update the page that shows the figures."""
 
 import argparse
 import os
@@ -23,7 +23,7 @@ def main() -> None:
         for study in STUDIES.values():
             print(f"{study.name}  {study.meaning}")
         return
-    # As the command line does: checks by callbacks would keep programs out of the cache.
+    # As on the command line: checks by callbacks would exclude programs from the compilation cache.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
     study = STUDIES[arguments.name]

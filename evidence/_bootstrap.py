@@ -1,20 +1,20 @@
-"""Repetitions: whether a fit of the paper's arm spreads as far as its standard errors say.
+"""Bootstrap: compare the spread of repeated fits of the paper's arm with the standard errors.
 
-`fits/base_step.toml` is fitted, and the fit repeated by `giajax.bootstrap` with noise of its noise
-model. A spread is the standard deviation of the repetitions over the standard error of the fit; it
-has a Monte Carlo error of 1 / sqrt(2 (size - 1)).
+The fit `fits/base_step.toml` is repeated by `giajax.bootstrap` with simulated noise of its noise
+model. A spread is the standard deviation of the repetitions divided by the standard error of the
+fit. Its Monte Carlo error is 1 / sqrt(2 (size - 1)).
 """
 
 from ._record import ROOT
 from ._study import Figures, Study
 
 FIT = ROOT / "fits" / "base_step.toml"
-# Of a disagreement by chance, in Monte Carlo errors.
+# Limit on the differences, in Monte Carlo errors.
 FAR = 4.0
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` repetitions of one fit."""
+    """Return the figures of `size` repetitions of one fit."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -40,7 +40,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Spreads and biases that differ by more than chance lets them."""
+    """Return sentences on spreads and biases that differ by more than expected by chance."""
     sentences = []
     if list(stored["parameters"]) != list(new["parameters"]):
         return ["the parameters differ from the stored parameters: run the study again"]
@@ -54,9 +54,10 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each parameter."""
+    """Return a table with a row for each parameter."""
     rows = [
-        "| parameter | standard deviation over standard error | bias, standard errors | coverage |",
+        "| parameter | standard deviation over standard error | bias over standard error | "
+        "coverage |",
         "| --- | --- | --- | --- |",
     ]
     for path, one in figures["parameters"].items():
@@ -72,9 +73,9 @@ BOOTSTRAP = Study(
     name="bootstrap",
     meaning=(
         "The fit of the paper's base step is repeated with new noise (`giajax bootstrap`). The "
-        "table lists the standard deviation of the repeated estimates, divided by the standard "
-        "error of the fit, their bias in standard errors, and the coverage: how often the 95 % "
-        "interval of a repetition contains the value that generated its data."
+        "table lists the standard deviation and the bias of the repeated estimates, both divided "
+        "by the standard error of the fit. It also lists the coverage, which is the share of "
+        "repetitions whose 95 % interval contains the value that generated their data."
     ),
     size=400,
     seed=1,

@@ -1,9 +1,10 @@
-"""Certificates: chances of missions by a minute of the resting arm, and what came of them.
+"""Certificates: calibration of predicted probabilities of success from a minute of rest.
 
-Arms and air are drawn as the file of the mission says, the speed of the air evenly from a range in
-which most missions succeed at one end and few at the other. Each rests for a minute, of which the
-place of the tip is recorded with an error of 5 mm, and goes on to the opening. Each is certified by
-200 others, as many as the command flies.
+Arms and winds are sampled as the file of the mission specifies, with a uniform wind speed over a
+range in which most missions succeed at one end and few at the other. Each arm rests for a minute,
+during which the position of the tip is recorded with an error of 5 mm, and then moves to the
+opening. The certificate of each mission is computed from 200 others, as many as the command
+simulates.
 """
 
 from typing import Any
@@ -18,17 +19,17 @@ SPEEDS = (0.1, 0.6)  # m/s
 CHANNELS, NOISE, RATE = ("tip_x", "tip_y", "tip_z"), 0.005, 10.0
 SECONDS, OTHERS = 60.0, 200
 CLASSES = ((0.0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.8, 1.0))
-BETWEEN = (0.2, 0.9)  # share of success at a speed of the air: there missions go either way
+BETWEEN = (0.2, 0.9)  # success rates at a wind speed between which the outcome is uncertain
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of so many missions and certificates."""
+    """Return the figures of `size` missions and their certificates."""
     rested, resting = _rested(size, seed)
     return {**_counts(rested), **_certified(rested, resting.channels, seed)}
 
 
 def part(size: int, seed: int) -> Figures:
-    """Missions without certificates, for which they are too few."""
+    """Return the figures of missions without certificates, for which there are too few."""
     return _counts(_rested(size, seed)[0])
 
 
@@ -41,7 +42,7 @@ def _rested(count: int, seed: int) -> tuple[Any, Any]:
 
     definition = Definition.load(ROOT / "missions" / FILE)
     mission = Mission.from_definition(definition, controller=DRIVER)
-    # Means over half a second, as a recording has them.
+    # Means over half a second, as computed from a recording.
     bins, noise = np.zeros((round(2 * SECONDS), 3)), NOISE / np.sqrt(RATE / 2)
     resting = Resting(CHANNELS, bins, np.full(3, noise))
     return fly_rested(mission, resting, SPEEDS, count, seed=1000 * seed), resting
@@ -70,7 +71,7 @@ def _certified(rested: Any, channels: tuple[str, ...], seed: int) -> Figures:
     z = np.sum((inside - chance) * (1 - 2 * chance)) / np.sqrt(
         np.sum((1 - 2 * chance) ** 2 * chance * (1 - chance))
     )
-    # Hosmer and Lemeshow, on others than those that were fitted: as many degrees as groups.
+    # Hosmer and Lemeshow, for data that were not fitted: one degree of freedom per group.
     groups = np.array_split(np.argsort(chance), 10)
     square = sum(
         np.sum(inside[k] - chance[k]) ** 2 / np.sum(chance[k] * (1 - chance[k])) for k in groups
@@ -109,7 +110,7 @@ def _certified(rested: Any, channels: tuple[str, ...], seed: int) -> Figures:
 
 
 def _by_air(winds: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """The share of success at the true speed of the air, by a logistic curve."""
+    """Return the success rate at the true wind speed, from a logistic regression."""
     from scipy.optimize import minimize
     from scipy.special import expit
 
@@ -123,20 +124,20 @@ def _by_air(winds: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def _skill(chance: np.ndarray, inside: np.ndarray) -> float:
-    """By how much less the Brier score is than that of the share of success."""
+    """Return the Brier skill score relative to a constant prediction of the success rate."""
     plain = np.mean((inside - inside.mean()) ** 2)
     return round(float(1 - np.mean((inside - chance) ** 2) / plain), 4)
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Another share of success than chance lets it be (Fisher's exact test)."""
+    """Report a success rate that differs by more than expected by chance (Fisher's exact test)."""
     shares = stored["inside"], stored["cases"], new["inside"], new["cases"]
     found = f"{new['inside']} of {new['cases']} came in, {stored['inside']} of {stored['cases']}"
     return [found] if shares_differ(*shares) else []
 
 
 def table(figures: Figures) -> list[str]:
-    """What chances came to, and how good they are."""
+    """Return a table of predicted probabilities and outcomes, and sentences on their skill."""
     rows = [
         "| predicted probability of success | missions | mean prediction | successful missions |",
         "| --- | --- | --- | --- |",
@@ -157,22 +158,22 @@ def table(figures: Figures) -> list[str]:
         f"speeds of {SPEEDS[0]:g} to {SPEEDS[1]:g} m/s. Tests of the calibration give p = "
         f"{figures['spiegelhalter_p']:.2f} (Spiegelhalter) and {figures['hosmer_lemeshow_p']:.2f} "
         "(Hosmer and Lemeshow). The Brier skill score, relative to the overall rate of success, is "
-        f"{figures['skill']:.2f}; that of a prediction from the true air speed is "
+        f"{figures['skill']:.2f}. The skill score of a prediction from the true air speed is "
         f"{figures['skill_of_the_true_air']:.2f}. For the {middling['cases']} missions at air "
         f"speeds of {low:.2f} to {high:.2f} m/s, where 20 to 90 % succeed, these scores are "
         f"{middling['skill']:.2f} and {middling['skill_of_the_true_air']:.2f}. The range of air "
         "speeds of the most similar tenth of the missions contains the true air speed in "
-        f"{figures['air_holds']} missions. Number of recordings that are reported as outliers: "
-        f"{figures['unlike']}.",
+        f"{figures['air_holds']} missions. The number of recordings that are reported as outliers "
+        f"is {figures['unlike']}.",
     ]
 
 
 CERTIFICATE = Study(
     name="certificate",
     meaning=(
-        "The probability of success that `giajax mission --from-recording` predicts from a "
-        "recording of the resting arm, one minute long, is compared with the outcome of the "
-        "missions."
+        "From a one-minute recording of the resting arm, `giajax mission --from-recording` "
+        "predicts the probability that a mission succeeds. The table compares this prediction "
+        "with the outcome of the missions."
     ),
     size=1000,
     seed=1,

@@ -1,13 +1,13 @@
-"""Coverage: how often the truth is within the 95 % interval that a fit shows.
+"""Coverage: how often the 95 % interval of a fit contains the truth.
 
-Three models make runs that differ in their noise alone, which is white or an AR(1) of some
-correlation rho from sample to sample, and stated or not; every run is fitted from the same start,
-away from the truth. The interval is that of the result, by Student's t. A pull is the error over
-the standard error.
+Runs of three models differ only in their noise, which is white, or AR(1) with a correlation rho
+from sample to sample, and stated in the sidecar or not. Every run is fitted from the same initial
+guess, away from the truth. The interval is that of the result, from Student's t. A pull is the
+error divided by the standard error.
 
-The same fits say how often an adequate model is called inadequate: where noise is white, or its
-correlation is stated, every such verdict is a false alarm. Where it is correlated and not stated,
-the verdict has to say so.
+The same fits show how often an adequate model is judged inadequate. If the noise is white, or its
+correlation is stated, every such verdict is a false alarm. If it is correlated and not stated, the
+verdict must report it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,12 +22,12 @@ LEVEL = 0.95
 
 
 class Case(NamedTuple):
-    """An experiment, and what noise it is recorded with.
+    """An experiment and its noise.
 
     Attributes:
-        experiment: its name in `EXPERIMENTS`.
-        rho: correlation of the noise from sample to sample; 0 where it is white.
-        stated: what the sidecar says of it.
+        experiment: name of the experiment in `EXPERIMENTS`.
+        rho: correlation of the noise from sample to sample; 0 if it is white.
+        stated: what the sidecar states about the noise.
     """
 
     experiment: str
@@ -42,14 +42,14 @@ class Case(NamedTuple):
 
     @property
     def adequate(self) -> bool:
-        """Whether the sidecar says all that there is to say of the noise, or it is white."""
+        """Whether the noise is white, or the sidecar states it completely."""
         return not self.rho or self.stated == "all"
 
 
 def cases() -> Iterator[Case]:
-    """Four kinds of noise for each experiment."""
+    """Yield four kinds of noise for each experiment."""
     for experiment in EXPERIMENTS:
-        # What is correlated of a force cannot be stated.
+        # A sidecar cannot state a correlated part of the noise of a force.
         forces = experiment == "a muscle"
         yield Case(experiment, 0.0, "nothing" if forces else "all")
         yield Case(experiment, 0.5, "nothing")
@@ -58,7 +58,7 @@ def cases() -> Iterator[Case]:
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` fits of each case; each has random numbers of its own."""
+    """Return the figures of `size` fits of each case, each with its own random numbers."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -85,7 +85,7 @@ def _refit(case: Case, experiment: Experiment, entropy: list[int], size: int) ->
         inadequate += result.verdict.status == "inadequate"
         for path, true in truth.items():
             estimate = result.parameters[path]
-            # Without an interval the truth is not in it; and it would say nothing of the pulls.
+            # A missing interval counts as not containing the truth, and gives no pull.
             if estimate.interval is not None and estimate.standard_error is not None:
                 low, high = estimate.interval
                 within[path] += low <= true <= high
@@ -111,10 +111,10 @@ def _refit(case: Case, experiment: Experiment, entropy: list[int], size: int) ->
 
 
 def p_value(figures: Mapping[str, Any]) -> float:
-    """Of a case, the chance of shares as far from 95 % as these.
+    """Return the p-value of the coverage of a case if the true coverage is 95 %.
 
-    A binomial test of each parameter, corrected for how many there are (Bonferroni): the intervals
-    of one fit go together, so that the sum of all of them is not binomial.
+    It is that of a binomial test for each parameter, with a Bonferroni correction. The intervals of
+    one fit are correlated, so their sum does not have a binomial distribution.
     """
     from scipy.stats import binomtest
 
@@ -124,7 +124,7 @@ def p_value(figures: Mapping[str, Any]) -> float:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance less often than `PROBABILITY`, by classical tests."""
+    """Report differences with a probability below `PROBABILITY`, by classical tests."""
     if list(stored) != list(new):
         return [f"the cases are {list(new)}, the stored cases {list(stored)}: run the study again"]
     sentences = []
@@ -150,7 +150,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Whether two samples of pulls differ in mean (Welch) or in deviation (an F test)."""
+    """Report samples of pulls that differ in mean (Welch) or in standard deviation (F test)."""
     from scipy import stats
 
     sentences = []
@@ -166,13 +166,13 @@ def _unlike_pulls(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 def _shown(case: str) -> str:
-    """The stored name of a case in the words of the page."""
+    """Return the name of a stored case in the wording of the page."""
     case = case.replace("plays of a joint", "play operators of a joint")
     return case.replace("its size stated", "only its standard deviation stated")
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each case."""
+    """Return a table with a row for each case."""
     rows = [
         "| model and noise | length of the run in correlation times | share of intervals that "
         "contain the true value | p | verdict `inadequate` | is `inadequate` correct? |",
@@ -195,12 +195,13 @@ def table(figures: Figures) -> list[str]:
 COVERAGE = Study(
     name="coverage",
     meaning=(
-        "Runs of three models with white or correlated noise are fitted from a start that differs "
-        "from the truth. The table lists how often the 95 % interval of a parameter contains the "
-        "truth, the probability p of shares that deviate at least as much from 95 % (binomial "
-        "test, corrected for the four parameters), and how often the verdict is `inadequate`. "
-        "With white noise, or with a stated correlation, the nominal rate of `inadequate` is at "
-        "most 2 %. With correlated noise that is not stated, `inadequate` is the correct verdict."
+        "Runs of three models with white or correlated noise are fitted from an initial guess "
+        "that differs from the truth. The table lists the share of fits in which the 95 % "
+        "interval of a parameter contains the truth, and the rate of the verdict `inadequate`. It "
+        "also lists the probability p that, by chance, the shares deviate at least as much from "
+        "95 % (binomial test, corrected for the four parameters). With white noise, or with a "
+        "stated correlation, the nominal rate of `inadequate` is at most 2 %. With correlated "
+        "noise that is not stated, `inadequate` is the correct verdict."
     ),
     size=500,
     seed=1,

@@ -1,13 +1,13 @@
-"""Design: what the experiment that `giajax design` finds is worth, in fits of what it records.
+"""Design: value of the experiment from `giajax design`, from fits of simulated recordings.
 
-The paper's arm, its base step and its four markers, seen from the side with 20 mm of noise. The
-design has the same joint, angle, rate and duration, and knows drag, stiffness and damping to a
-fifth. Then both experiments are recorded again and again and fitted from a start away from the
-truth: once by an arm that is as the design took it to be, and once by one that the design did not
-know, whose joints remember and which hangs in gusts that nobody recorded. Its recordings are fitted
-as a user would who asks what a fit leaves over: with a mean wind free, and then the joints' memory
-as well, each of which is among the first suspects of the fit without it (`--ladder` tries three of
-them and takes the best). What is left of the gusts then is noise.
+The study uses the paper's arm, its base step and its four markers, seen from the side with 20 mm of
+noise. The design has the same joint, angle, rate and duration, and prior standard deviations of a
+fifth for drag, stiffness and damping. Both experiments are then recorded repeatedly and fitted from
+an initial guess away from the truth. One arm is as assumed by the design. The other one is not: its
+joints have a memory, and there are gusts that nothing records. Its recordings are fitted as a user
+would after an examination of the residuals: first with a free mean wind, and then with a joint
+memory as well, each of which is among the first suspects of the previous fit (`--ladder` tries
+three of them and keeps the best). The remaining effect of the gusts is treated as noise.
 """
 
 import math
@@ -17,7 +17,7 @@ from ._study import PROBABILITY, Figures, Study
 
 
 def run(size: int, seed: int) -> Figures:
-    """The design, `size` fits of each experiment, and half of them where joints remember."""
+    """Return figures of the design, `size` fits per experiment, and half as many with memory."""
     import jax
 
     import giajax
@@ -64,7 +64,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Another design, or spreads that differ by more than chance lets them (an F test)."""
+    """Report another design, or spreads that differ by more than by chance (F test)."""
     from scipy import stats
 
     sentences = []
@@ -85,7 +85,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each experiment and arm."""
+    """Return a table with a row for each experiment and arm."""
     rows = [
         "| arm | experiment | converged | expected standard error of C_D | standard error in the "
         "fits | standard deviation of C_D | mean of C_D (truth 1.12) | 95 % intervals that contain "
@@ -107,14 +107,14 @@ def table(figures: Figures) -> list[str]:
             )
     low, high = figures["over_draws"]
     asked = [
-        f"{name}: "
+        f"{name.capitalize()}: "
         + "; then ".join(", ".join(f"`{path}`" for path in few) for few in each["suggested"])
         for name, each in figures["experiments"].items()
     ]
     rows += [
         "",
-        "First suspects in fits of the arm with memory and gusts, first by a model without both "
-        "effects and then with a free mean wind. "
+        "These are the first suspects in fits of the arm with memory and gusts: first for a model "
+        "without both effects, and then for a model with a free mean wind. "
         f"{'. '.join(asked)}.",
         "",
         f"The expected standard error of the design is {figures['ratio']:.3f} times that of the "
@@ -128,11 +128,12 @@ DESIGN = Study(
     name="design",
     meaning=(
         "The experiment that `giajax design` finds for C_D is compared with the paper's base step "
-        "of the same joint, angle, rate and duration: by the expected standard error, and by the "
-        "standard deviation of C_D over fits of repeated recordings. Half as many recordings are "
-        "made of an arm with effects that the design did not assume: joints with memory (Dahl), "
-        "and unrecorded gusts. Fits of that arm free the effects that are among the first "
-        "suspects of the simpler fits: a mean wind, and then the memory."
+        "of the same joint, angle, rate and duration. The comparison uses the expected standard "
+        "error of C_D and the standard deviation of C_D over fits of repeated recordings. Half as "
+        "many recordings are simulated with an arm that has effects which the design did not "
+        "assume: joints with memory (Dahl friction), and unrecorded gusts. Fits of these "
+        "recordings free the effects that are among the first suspects of the simpler fits: first "
+        "a mean wind, and then the memory."
     ),
     size=200,
     seed=1,

@@ -1,4 +1,4 @@
-"""Fits of what a designed experiment records, of an arm as foreseen and of one that was not."""
+"""Fits of designed experiments, for an arm as assumed by the design and for another one."""
 
 import math
 from typing import Any
@@ -23,21 +23,21 @@ GUSTS: dict[str, Any] = {"mean": [0.01, 0.005, 0.005], "intensity": 0.3, "length
 CHANNELS = [f"link{link:02d}_z" for link in (2, 6, 12, 20)]
 NOISE = 0.02
 TOLERANCE = 1e-5
-# An arm that remembers takes several times as many steps, and a fit of it as much longer.
+# An arm with joint memory takes several times as many integration steps, so fewer are fitted.
 FEWER = 2
 FIRST = 3
-# What the fits of the unknown arm have free, in the order in which it is asked for, with its start.
-# Across the plane in which the arm moves and is seen, no wind shows.
+# Parameters freed in the fits of the unknown arm, in order, with their start values. The wind
+# perpendicular to the plane of the motion and the view has no effect on the recording.
 ASKED: tuple[dict[str, float], ...] = (
     {"air.wind[0]": 0.0, "air.wind[2]": 0.0},
     {"joints.memory.strength": 0.04, "joints.memory.yield_angle": 0.006},
 )
-# What has to be there for that.
+# Parts of the model that these parameters require.
 SWITCHED: tuple[dict[str, Any], ...] = ({"air.wind": [0.0, 0.0, 0.0]}, MEMORY)
 
 
 def fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures:
-    """What fits of recordings of one experiment make of C_D."""
+    """Return the estimates of C_D from fits of recordings of one experiment."""
     import giajax
 
     fitted, start = _asked(len(ASKED) if unknown else 0)
@@ -62,7 +62,7 @@ def fits(plan: Any, size: int, entropy: list[int], *, unknown: bool) -> Figures:
 
 
 def suggested(plan: Any, entropy: list[int]) -> list[list[str]]:
-    """The first suspects, as many as a ladder tries, of fits of the unknown arm with less free."""
+    """Return the first suspects of fits of the unknown arm with fewer free parameters."""
     import giajax
 
     recording = _recorded(plan, [*entropy, 0], None)
@@ -73,7 +73,7 @@ def suggested(plan: Any, entropy: list[int]) -> list[list[str]]:
 
 
 def _asked(count: int) -> tuple[Any, dict[str, float]]:
-    """A model that has so much of what is asked for, and where its fits begin."""
+    """Return a model with the first `count` additions, and the initial guess of its fits."""
     import giajax
 
     start, extras = dict(START), {}
@@ -90,7 +90,7 @@ def _fit(model: Any, start: dict[str, float], recording: Any) -> Any:
 
 
 def _recorded(plan: Any, entropy: list[int], motion: dict[str, np.ndarray] | None) -> Any:
-    """A recording of a motion, or where there is none, of the unknown arm in gusts of its own."""
+    """Return a recording of a motion; None simulates the unknown arm in new gusts."""
     import giajax
 
     random = np.random.default_rng(entropy)

@@ -1,15 +1,15 @@
-"""Noise of known memory, drawn."""
+"""Noise with a given correlation time."""
 
 import numpy as np
 
 
 def correlated_noise(times: np.ndarray, time_s: float, rng: np.random.Generator) -> np.ndarray:
-    """Noise of unit variance whose correlation between two instants is exp(-|dt| / time_s).
+    """Return noise of unit variance with the autocorrelation exp(-|dt| / time_s).
 
     Arguments:
-        times: increasing, s, shape (sample,).
+        times: increasing times, s, shape (sample,).
         time_s: correlation time, s; 0 for white noise.
-        rng: draws it.
+        rng: random number generator.
     """
     values = rng.normal(size=len(times))
     if time_s:
@@ -21,5 +21,5 @@ def correlated_noise(times: np.ndarray, time_s: float, rng: np.random.Generator)
 
 
 def correlation_time(rho: float, step_s: float) -> float:
-    """The correlation time of noise by its correlation between two samples a step apart, s."""
+    """Return the correlation time, s, for a correlation rho of samples `step_s` (s) apart."""
     return 0.0 if rho == 0 else float(-step_s / np.log(rho))

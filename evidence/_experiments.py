@@ -1,4 +1,4 @@
-"""Three short experiments whose truth is known, to be recorded and fitted again and again."""
+"""Three short experiments with known parameters, for repeated recordings and fits."""
 
 import itertools
 from collections.abc import Mapping
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
     from giajax import AbstractModel, Definition, Run
 
 Stated = Literal["nothing", "size", "all"]
-"""What a sidecar says of the noise: nothing, the deviation of a cell, or its memory, too."""
+"""Statement of a sidecar on the noise: nothing, its standard deviation, or its memory, too."""
 
 
 class Experiment(NamedTuple):
-    """A model, what it does without noise, and the noise that is added.
+    """A model, its noise-free run, and the noise that is added.
 
     Attributes:
-        model: to fit.
-        clean: the run that the truth makes; its definition states the noise of a cell.
-        values: truth and start of what is fitted, by path.
-        noise: quantity and unit of the noise, as `[noise]` names them.
+        model: model to fit.
+        clean: run simulated with the true parameters; its definition states the noise of a cell.
+        values: true value and start value of each fitted parameter, by path.
+        noise: quantity and unit of the noise, as in `[noise]`.
     """
 
     model: "AbstractModel"
@@ -40,16 +40,16 @@ class Experiment(NamedTuple):
 
     @property
     def times(self) -> np.ndarray:
-        """Of the samples, which are evenly spaced, s."""
+        """Times of the samples, which are evenly spaced, s."""
         assert self.clean.times is not None
         return self.clean.times
 
     def time_of(self, rho: float) -> float:
-        """Correlation time of noise that has this correlation from sample to sample, s."""
+        """Return the correlation time, s, of noise with this correlation from sample to sample."""
         return correlation_time(rho, float(self.times[1] - self.times[0]))
 
     def stating(self, stated: Stated, rho: float) -> "Definition":
-        """The sidecar of a recording with noise of this correlation from sample to sample."""
+        """Return the sidecar of a recording with this correlation from sample to sample."""
         import giajax
 
         sections = self.clean.definition.contents()
@@ -67,12 +67,12 @@ class Experiment(NamedTuple):
         return giajax.Definition.parse({**sections, "noise": section}, "an experiment")
 
     def recorded(self, definition: "Definition", rho: float, rng: np.random.Generator) -> "Run":
-        """A recording with noise of this correlation from sample to sample.
+        """Return a recording with noise of this correlation from sample to sample.
 
         Arguments:
-            definition: its sidecar.
-            rho: correlation of the noise from sample to sample, 0 where it is white.
-            rng: draws the noise.
+            definition: sidecar of the recording.
+            rho: correlation of the noise from sample to sample, 0 if it is white.
+            rng: random number generator of the noise.
         """
         import giajax
 
@@ -94,7 +94,7 @@ def _made(
     noise: tuple[str, str, float],
     values: Mapping[str, tuple[float, float]],
 ) -> Experiment:
-    """An experiment by the function that builds its model with some values."""
+    """Make an experiment from the function that builds its model with given values."""
     import giajax
 
     quantity, unit, size = noise
@@ -106,7 +106,7 @@ def _made(
 
 
 def short_arm() -> Experiment:
-    """An arm of three links whose first two joints are driven; positions are off by 2 mm."""
+    """Return an arm of three links, the first two joints driven, with 2 mm position noise."""
     import giajax
 
     def build(values: Mapping[str, float]) -> Any:
@@ -130,7 +130,7 @@ def short_arm() -> Experiment:
 
 
 def play_operator() -> Experiment:
-    """Loops within loops of a Prandtl-Ishlinskii operator of two plays, off by 0.3 degrees."""
+    """Return nested loops of a Prandtl-Ishlinskii operator of two plays, noise 0.3 degrees."""
     import giajax
 
     section = {"operator": "prandtl_ishlinskii", "thresholds": [0.2, 0.5]}
@@ -158,7 +158,7 @@ def play_operator() -> Experiment:
 
 
 def muscle_stand() -> Experiment:
-    """A braided muscle let out and drawn in at four pressures; forces are off by 0.3 N."""
+    """Return a braided muscle extended and contracted at four pressures, force noise 0.3 N."""
     import giajax
 
     section = {"law": "braided", "friction": "coulomb"}

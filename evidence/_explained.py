@@ -1,8 +1,8 @@
-"""Explanations: what `giajax explain` makes of recordings with five omissions at once.
+"""Explanations: `giajax explain` for recordings with five simultaneous omissions.
 
-Motions are those of `_omissions`. Each recording has one thing of each of five groups of `GROUPS`,
-drawn at random, which the paper's model does not have. What is found is compared with a fit of the
-model that a person who knows all five would build by hand.
+The motions are those of `_omissions`. Each recording has one effect from each of five groups of
+`GROUPS`, selected at random, that the paper's model does not have. The findings are compared with a
+fit of the model that a person who knows all five effects would build.
 """
 
 import dataclasses
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
 
 DRAG = "air.drag_coefficient"
 SENSORS = "12 of 10 mm"
-LIMIT = 15 * 60.0  # of an explanation, s
+LIMIT = 15 * 60.0  # time limit of an explanation, s
 
 
 @dataclasses.dataclass(frozen=True)
 class ByHand:
-    """What the right model has for an omission, on top of the paper's.
+    """Additions to the paper's model that describe an omission correctly.
 
     Attributes:
-        free: further parameters.
+        free: additional free parameters.
         arm: keys of `[arm]`.
-        start: values to begin with.
-        loss: of the fit.
+        start: start values.
+        loss: loss function of the fit.
     """
 
     free: tuple[str, ...] = ()
@@ -74,7 +74,7 @@ GROUPS: dict[str, dict[str, ByHand]] = {
 
 
 def drawn(seed: int, number: int) -> str:
-    """The names of five omissions, joined: one of each group but one."""
+    """Return the joined names of five omissions, one from each group except one."""
     random = np.random.default_rng([seed, number])
     left_out = random.choice(list(GROUPS))
     chosen = [str(random.choice(list(of))) for name, of in GROUPS.items() if name != left_out]
@@ -82,7 +82,7 @@ def drawn(seed: int, number: int) -> str:
 
 
 def run(size: int, seed: int) -> Figures:
-    """What was found in each of `size` recordings; two at once, each on one core."""
+    """Return the findings for `size` recordings, two at a time on one core each."""
     names = [drawn(seed, number) for number in range(size)]
     arguments = [{"name": name, "entropy": [seed, at]} for at, name in enumerate(names)]
     found = omissions.kept(one, arguments, every=1)
@@ -90,7 +90,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """The model by hand for one recording without the memory of joints, which takes minutes."""
+    """Return the fit by hand of a recording without joint memory, which would take minutes."""
     number = next(at for at in range(100) if "remember" not in drawn(seed, at))
     name = drawn(seed, number)
     result, truth = by_hand(name, [seed, number])
@@ -98,7 +98,7 @@ def part(size: int, seed: int) -> Figures:
 
 
 def one(name: str, entropy: list[int], code: str | None) -> Figures:
-    """What an explanation of one recording finds, by a commit of giajax."""
+    """Return the explanation of one recording; `code` is the commit of giajax."""
     del code
     from giajax.studies import explain
 
@@ -119,7 +119,7 @@ def one(name: str, entropy: list[int], code: str | None) -> Figures:
 
 
 def by_hand(name: str, entropy: list[int]) -> tuple["FitResult", float]:
-    """The fit of the model that has all that was omitted and nothing else, and the true C_D."""
+    """Fit the model with all omitted effects and no others; also return the true C_D."""
     import giajax
 
     known = {one: hand for of in GROUPS.values() for one, hand in of.items()}
@@ -143,7 +143,7 @@ def by_hand(name: str, entropy: list[int]) -> tuple["FitResult", float]:
 def of_drag(
     result: "FitResult", truth: float, error: float | None = None
 ) -> dict[str, float | None]:
-    """The coefficient of drag, its error, and how many errors it is off."""
+    """Return the drag coefficient, its error, and its deviation in units of this error."""
     found = result.parameters[DRAG]
     error = found.standard_error if error is None else error
     off = None if error is None else (found.value - truth) / error
@@ -156,7 +156,7 @@ def _is_right(each: Figures) -> bool:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Drag by the model by hand that is far off; explanations take too long to be made again."""
+    """Report a wrong drag from the fit by hand; explanations take too long to be repeated."""
     del stored
     offs = {name: each["by hand"]["off"] for name, each in new.items()}
     return [
@@ -167,7 +167,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each recording."""
+    """Return a table with a row for each recording."""
     rows = [
         "| omitted effects | steps | minutes on one core | verdict | C_D; deviation | C_D of the "
         "reference model; deviation | ratio of the standard error to that of the reference |",
@@ -206,13 +206,14 @@ def table(figures: Figures) -> list[str]:
 EXPLAINED = Study(
     name="explained",
     meaning=(
-        "`giajax explain` is applied to recordings that MuJoCo simulates of an arm of 12 links "
-        "with five omitted effects at once, drawn at random from six groups. The table lists the "
-        "changes of the paper's model, and compares the resulting drag coefficient with that of "
-        "a reference model, which contains all five effects and is built by hand. The true "
-        "drag coefficient is 1.18. Standard errors are total errors from noise and from the "
-        "selection. Deviations from the truth are in standard errors. Each run is limited to 15 "
-        "minutes on one core; if it reaches this limit, it returns the best model so far."
+        "MuJoCo simulates recordings of an arm of 12 links with five effects that the initial "
+        "model omits. The effects are drawn at random from six groups. `giajax explain` is "
+        "applied to these recordings. The table lists the resulting changes of the paper's model. "
+        "It compares the estimated drag coefficient with the estimate of a reference model, which "
+        "contains all five effects and is built by hand. The true drag coefficient is 1.18. "
+        "Standard errors are total errors from noise and from the selection. Deviations from the "
+        "truth are divided by the standard error. Each run is limited to 15 minutes on one core. "
+        "A run that reaches this limit returns the best model so far."
     ),
     size=10,
     seed=2,

@@ -1,4 +1,4 @@
-"""A model of two numbers, whose posterior a bound cuts or a valley bends."""
+"""A model with two parameters, whose posterior is truncated by a bound or a curved valley."""
 
 from typing import Any, ClassVar, Self
 
@@ -11,7 +11,7 @@ from giajax.schema.parameters import parameter
 
 
 class Growth(AbstractModel):
-    """tip_z = amplitude (1 - exp(-rate t)): over a short time only the product counts."""
+    """tip_z = amplitude (1 - exp(-rate t)); a short recording determines only the product."""
 
     kind: ClassVar[str] = "growth"
 

@@ -1,4 +1,4 @@
-"""Others who hold the tip: controllers of one's own, beside those of `giajax mission`."""
+"""Other controllers that hold the tip, for comparison with those of `giajax mission`."""
 
 import abc
 from typing import Any
@@ -22,7 +22,7 @@ from giajax.simulation import Moment, Stepper
 
 
 class Still(AbstractController):
-    """Commands that go somewhere, and stay there."""
+    """Command a fixed pose, and hold it."""
 
     rest: Array
     rate: Array
@@ -39,7 +39,7 @@ class Still(AbstractController):
 
 
 class Scaled(AbstractController):
-    """Steering of joints that turn by a multiple of what they are told, which it does not know."""
+    """Control joints that move by a multiple of the command, unknown to the controller."""
 
     steering: Steering
     factor: Array
@@ -56,14 +56,14 @@ class Scaled(AbstractController):
         return self.steering.believed(scene, memory[0])
 
 
-BEGINS = 60.0  # s, after which the tip is near enough to be held by what is linear
+BEGINS = 60.0  # s, after which the tip is near enough for a linear controller
 
 
 class AbstractFeedback(AbstractController):
-    """Commands that differ from those at rest by a law of the tracker's estimate.
+    """Add feedback from the estimate of the tracker to the commands at rest.
 
     Attributes:
-        rest: commands that have the resting tip where it is to be held, rad.
+        rest: commands with which the tip of the resting arm is at its target, rad.
     """
 
     steering: eqx.AbstractVar[Steering]
@@ -71,7 +71,7 @@ class AbstractFeedback(AbstractController):
 
     @abc.abstractmethod
     def offset(self, scene: Scene, angles: Array, rates: Array) -> Array:
-        """By how much, rad, at angles and rates of the joints."""
+        """Return the change of the commands, rad, for angles and rates of the joints."""
 
     def start(self, scene: Scene, late: int) -> Any:
         return self.steering.start(scene, late)
@@ -90,7 +90,7 @@ class AbstractFeedback(AbstractController):
 
 
 class ProportionalDerivative(AbstractFeedback):
-    """By how far the tip is off, and by its velocity."""
+    """Feedback proportional to the position error and the velocity of the tip."""
 
     steering: Steering
     rest: Array
@@ -106,7 +106,7 @@ class ProportionalDerivative(AbstractFeedback):
 
 
 class LinearQuadraticGaussian(AbstractFeedback):
-    """By a constant gain on angles and rates."""
+    """Feedback with a constant gain on angles and rates."""
 
     steering: Steering
     rest: Array
@@ -118,9 +118,10 @@ class LinearQuadraticGaussian(AbstractFeedback):
 
 @program
 def flown_knowing(arm: Arm, steering: Steering, scene: Scene, wind: Array, late: int) -> Array:
-    """Places of the tip, m, of an arm whose control is told its true state, late, and its air.
+    """Return tip positions, m, if the controller receives the delayed true state and wind.
 
-    The air at the links is told as the tracker has it: between its places it is linear.
+    The wind at the links is given as in the tracker: it is linear between the points of the
+    tracker.
     """
     tracked, interval = steering.tracked, scene.interval
     stepper = Stepper(arm, interval, tolerance=jnp.asarray(1e-3))

@@ -1,8 +1,8 @@
-"""Influence: one step from the optimum against a fit without the run or marker.
+"""Influence: compare one step from the optimum with a fit without the run or marker.
 
-Shipped fits are asked what each of their markers or runs does to each parameter, by a step to first
-order and by a fit. The rank correlation (Spearman) is that of all shifts, in standard errors, over
-parts and parameters.
+For shipped fits, the effect of each marker or run on each parameter is computed by a first-order
+step and by a fit. The rank correlation (Spearman) is that of all shifts, in units of the standard
+error, over parts and parameters.
 """
 
 from collections.abc import Iterable
@@ -12,7 +12,7 @@ import numpy as np
 from ._record import ROOT
 from ._study import Figures, Study
 
-# Name of the case: the fit, and what is left out of it.
+# Name of each case -> the fit, and the kind of parts that are left out.
 CASES = {
     "base_step, its markers": ("base_step", "marker"),
     "pitch_yaw, its markers": ("pitch_yaw", "marker"),
@@ -21,7 +21,7 @@ CASES = {
 
 
 def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
-    """Figures of each case, which have nothing random."""
+    """Return the figures of each case, which do not depend on random numbers."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -29,7 +29,7 @@ def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """The quickest case."""
+    """Return the figures of the fastest case."""
     return run(size, seed, ("base_step, its markers",))
 
 
@@ -62,7 +62,7 @@ def _compared(fit: str, kind: str) -> Figures:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Rank correlations that are lower than those that are stored."""
+    """Report rank correlations that are lower than the stored ones."""
     return [
         f"{name}: the rank correlation is {one['rank_correlation']}, and "
         f"{stored[name]['rank_correlation']} is stored"
@@ -72,7 +72,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each case."""
+    """Return a table with a row for each case."""
     rows = [
         "| fit; data omitted one at a time | converged fits | rank correlation | largest shift | "
         "largest difference between step and fit |",
@@ -90,9 +90,10 @@ def table(figures: Figures) -> list[str]:
 INFLUENCE = Study(
     name="influence",
     meaning=(
-        "The effect of each marker or run on each parameter of a shipped fit is estimated by one "
-        "step from the optimum (`giajax influence`), and compared with a complete fit without "
-        "that marker or run. The table considers the shifts of all parameters, in standard errors."
+        "The effect of each marker or run on each parameter is estimated by one step from the "
+        "optimum (`giajax influence`), for fits that come with giajax. The estimate is compared "
+        "with a complete fit without that marker or run. The table summarises the shifts of all "
+        "parameters, divided by their standard errors."
     ),
     size=1,
     seed=0,

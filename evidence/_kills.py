@@ -1,8 +1,8 @@
-"""Kills: whether a fit that is killed and resumed ends at the numbers of one that is left alone.
+"""Kills: check that a killed and resumed fit gives the same numbers as an uninterrupted one.
 
-`fits/joint_loops.toml`, robust, is fitted by processes that are killed (SIGKILL) at random moments
-from their start on and resumed, again and again until one ends. Its steps are slowed down to those
-of a long arm, or there would be nothing to kill.
+A robust fit of `fits/joint_loops.toml` runs in processes that are killed (SIGKILL) at random times
+after their start and resumed until one ends. Its steps are slowed down to those of a long arm, so
+that it lasts long enough to be killed.
 """
 
 import json
@@ -22,8 +22,8 @@ from ._study import Figures, Study
 FIT = ("fit", str(ROOT / "fits" / "joint_loops.toml"), "--loss", "soft_l1", "--no-figures")
 CASES = {"one start": (), "three starts": ("--starts", "3")}
 
-# A process whose fits take as long as those of a long arm, so that there is a moment to stop it;
-# to be formatted with the seconds of a step.
+# A process whose fits take as long as those of a long arm, so it can be killed during a fit. The
+# duration of a step, s, is inserted by `format`.
 SLOWLY = """
 import sys, time
 import giajax.cli._fit as command
@@ -38,7 +38,7 @@ sys.exit(main())
 
 
 def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
-    """Figures of `size` kills of each case."""
+    """Return the figures of `size` kills of each case."""
     figures: Figures = {}
     moments = random.Random(seed)
     for name in names:
@@ -48,12 +48,12 @@ def run(size: int, seed: int, names: Iterable[str] = tuple(CASES)) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """One case: an untouched fit and its killed twin take half a minute each."""
+    """Return the figures of one case, in which each of the two fits takes half a minute."""
     return run(size, seed, ("one start",))
 
 
 def _killed(folder: Path, options: tuple[str, ...], size: int, moments: random.Random) -> Figures:
-    """Fits in a folder, until so many were killed; each goes on to its end."""
+    """Run fits in a folder until `size` processes were killed; resume each fit to its end."""
     whole, out = folder / "whole", folder / "out"
     began = time.monotonic()
     _end(_process(*FIT, *options, "--out", str(whole)))
@@ -106,7 +106,7 @@ def _end(running: "subprocess.Popen[str]") -> None:
 
 
 def _is_readable(folder: Path) -> bool:
-    """A journal that is there can be read, a torn last line included."""
+    """Return whether the journal can be read, including one with an incomplete last line."""
     from giajax.tasks import read_journal
 
     try:
@@ -117,14 +117,14 @@ def _is_readable(folder: Path) -> bool:
 
 
 def _numbers(folder: Path) -> dict[str, Any]:
-    """All numbers of a result; not how long it took, nor where it is."""
+    """Return all numbers of a result, without its duration and task."""
     record: dict[str, Any] = json.loads((folder / "result.json").read_text("utf-8"))
     del record["seconds"], record["task"]
     return record
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Numbers that differ after a kill, and journals that cannot be read: none is by chance."""
+    """Report different numbers after a kill, and unreadable journals; neither occurs by chance."""
     if not stored.keys() >= new.keys():
         return ["the cases differ from the stored cases: run the study again"]
     return [
@@ -136,7 +136,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each case."""
+    """Return a table with a row for each case."""
     rows = [
         "| starts of the fit | kills | kills after the journal was opened | unreadable journals | "
         "fits with the same numbers |",

@@ -1,9 +1,10 @@
-"""The ladder: from the paper's model to what an arm in all of its air is like.
+"""Ladder: stepwise selection from the paper's model to an arm in full air.
 
-`data/synthetic/full_air.csv` is of an arm with trim weights, added mass and drag along its links.
-The ladder starts from a fit by the paper's model, which has none of that and 0.047 kg a link, and
-is told nothing of what is missing. Positions show what acts on a link for its mass: with the mass
-that a link moves with, which nothing in the recording tells, all of it follows.
+The recording `data/synthetic/full_air.csv` is from an arm with trim weights, added mass and drag
+along its links. The ladder starts from a fit of the paper's model, which has none of these effects
+and 0.047 kg per link, and receives no information on the missing effects. Positions determine
+forces relative to mass. With the moving mass of a link, which the recording does not determine, all
+parameters follow.
 """
 
 from collections.abc import Mapping
@@ -26,30 +27,30 @@ START = {
     "joints.damping": 0.15,
 }
 RECORDING = ROOT / "data" / "synthetic" / "full_air.csv"
-# Steps, as many as the command takes.
+# Number of steps, equal to the default of the command.
 MOST = 8
-# Relative, of chi-square; and of parameters, in their standard errors: what rounding on another
-# machine leaves of a fit.
+# Tolerances for rounding errors on another machine: relative for chi-square, and in standard errors
+# for parameters.
 SAME, NEAR = 1e-2, 0.1
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of the ladder; the recording is the stored one, whatever size and seed."""
+    """Return the figures of the ladder for the stored recording; size and seed are not used."""
     return {"scale": _scale(), **_climbed(MOST)}
 
 
 def part(size: int, seed: int) -> Figures:
-    """The first fit: what the ladder asks of it takes minutes to compile."""
+    """Return the first fit only, because the suspects of a ladder take minutes to compile."""
     return _climbed(0)
 
 
 def _climbed(most: int) -> Figures:
-    """The rungs of a ladder of so many steps, and what the last one makes of the truth."""
+    """Return the steps of a ladder with at most `most` steps, and the result of the last one."""
     return _figures(climbed(RECORDING, START, most))
 
 
 def climbed(path: Path, start: Mapping[str, float], most: int) -> "StepwiseSelection":
-    """A ladder of so many steps on a recording, from a fit of the paper's model."""
+    """Return a ladder with at most `most` steps on a recording, from the paper's model."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -57,7 +58,7 @@ def climbed(path: Path, start: Mapping[str, float], most: int) -> "StepwiseSelec
 
     recording = giajax.read_run(path)
     model = giajax.ArmModel(giajax.takeichi_20m())
-    # All rows but the last are by white noise.
+    # Only complete ladders estimate correlated noise. The part of the study uses white noise.
     noise = "correlated" if most else "white"
     first = giajax.fit(
         model, recording, free=list(start), start=start, check=False, noise_model=noise
@@ -72,7 +73,7 @@ def _recording() -> "Run":
 
 
 def _moving_mass(model: Any) -> float:
-    """What a link moves with, apart from the air across it, kg; it is that of all links."""
+    """Return the mass that moves with a link without added mass, kg; equal for all links."""
     import giajax.mechanics.arm
 
     return float(np.mean(giajax.mechanics.arm.bodies(model.arm).mass))
@@ -112,20 +113,20 @@ def rung_of(rung: "Step") -> dict[str, Any]:
 
 
 def _estimate(result: "FitResult", path: str, per: float = 1.0) -> dict[str, float | None]:
-    """Value and standard error of a parameter, for a unit of something."""
+    """Return value and standard error of a parameter, divided by `per`."""
     one = result.parameters[path]
     error = None if one.standard_error is None else one.standard_error / per
     return {"value": one.value / per, "error": error}
 
 
 def _imitated(steps: "StepwiseSelection") -> list[str]:
-    """Of the last fit that was asked: what its fitted parameters imitate."""
+    """Return the suspects that the fitted parameters of the last tested fit imitate."""
     asked = [rung.suspects for rung in steps.steps if rung.suspects is not None]
     return [row.path for row in asked[-1].untestable if "imitates" in row.note] if asked else []
 
 
 def _scale() -> dict[str, Any]:
-    """What a fit says whose masses are free, too: which parameters have no error of their own."""
+    """Return the parameters without a standard error in a fit with free masses."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -147,9 +148,9 @@ def _scale() -> dict[str, Any]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Fits that end elsewhere: the recording is the same, and so must they be."""
+    """Report fits that end elsewhere, although the recording is the same."""
     sentences: list[str] = []
-    # A part of the study is the first fit alone.
+    # The part of the study contains only the first fit.
     if 1 < len(new["rungs"]) != len(stored["rungs"]):
         sentences.append(f"{len(new['rungs'])} fits in place of {len(stored['rungs'])}")
     for before, after in zip(stored["rungs"], new["rungs"], strict=False):
@@ -168,7 +169,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each fit."""
+    """Return a table with a row for each fit."""
     shown = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
     rows = [
         "| fit | chi-square | moving mass, kg | C_D | k, N m/rad | c, N m s/rad |",
@@ -197,7 +198,7 @@ LADDER = Study(
     meaning=(
         "`giajax suspects --ladder` is applied to `data/synthetic/full_air.csv`, starting from a "
         "fit of the paper's model. That model omits trim weights, added mass and distributed drag "
-        "along the links. The command is not told which effects are omitted."
+        "along the links. The command has no information about the omitted effects."
     ),
     size=1,
     seed=1,

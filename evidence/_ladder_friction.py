@@ -1,8 +1,9 @@
-"""The ladder on a recording of another engine: from the paper's model to joints with memory.
+"""Ladder on a recording of another engine: from the paper's model to joints with memory.
 
-`data/independent/friction.csv` has Dahl's friction in every joint, drag along the links, and added
-mass without its products of velocities, none of which the paper's model has. The fit that the
-ladder starts from is that model's, and no step is told what comes next.
+The recording `data/independent/friction.csv` has Dahl friction in every joint, drag along the
+links, and added mass without its velocity-product terms. The paper's model has none of these
+effects. The ladder starts from a fit of this model, and no step receives information on the next
+one.
 """
 
 from typing import Any
@@ -16,7 +17,7 @@ START = {
     "joints.pitch_stiffness": 2.0,
     "joints.damping": 0.15,
 }
-# The engine's: 0.09 N m at 45 N m/rad.
+# Parameters of the engine: 0.09 N m at 45 N m/rad.
 TRUTH = {
     "air.drag_coefficient": 0.95,
     "joints.pitch_stiffness": 3.3,
@@ -24,17 +25,17 @@ TRUTH = {
     "joints.memory.strength": 0.09,
     "joints.memory.yield_angle": 0.002,
 }
-# Steps, as many as the command takes.
+# Number of steps, equal to the default of the command.
 MOST = 8
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of the ladder; the recording is the stored one, whatever size and seed."""
+    """Return the figures of the ladder for the stored recording; size and seed are not used."""
     return _climbed(MOST)
 
 
 def part(size: int, seed: int) -> Figures:
-    """The first fit: what the ladder asks of it takes minutes to compile."""
+    """Return the first fit only, because the suspects of a ladder take minutes to compile."""
     return _climbed(0)
 
 
@@ -62,7 +63,7 @@ def _climbed(most: int) -> Figures:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each fit."""
+    """Return a table with a row for each fit."""
     rows = [
         "| fit | chi-square | C_D | k, N m/rad | c, N m s/rad | strength, N m | yield angle, rad |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -83,7 +84,7 @@ LADDER_FRICTION = Study(
         "`giajax suspects --ladder` is applied to `data/independent/friction.csv`, a recording "
         "simulated by MuJoCo, starting from a fit of the paper's model. That model omits Dahl "
         "friction, distributed drag along the links, and added mass without its velocity "
-        "products. The command is not told which effects are omitted."
+        "products. The command has no information about the omitted effects."
     ),
     size=1,
     seed=1,

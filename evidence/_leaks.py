@@ -1,8 +1,8 @@
-"""Fits while an arm flies: how soon a leak is seen, how often one is that is none, and drag.
+"""Leaks: detection delay and false alarms of a tracker during flight, and its estimate of C_D.
 
-Arms in still air have their stiffness drawn, and are driven to another angle of the base joint
-every ten seconds. A camera sees the tip half a second late, with 20 mm of noise. The tracker begins
-with the nominal stiffness. Some short arms fly in gusts, which it tracks.
+The stiffness of arms in still air is sampled, and the base joint moves to another angle every ten
+seconds. A camera records the tip with a delay of half a second and 20 mm of noise. The tracker
+starts with the nominal stiffness. Some short arms fly in gusts, which the tracker estimates.
 """
 
 import dataclasses
@@ -15,21 +15,21 @@ from ._tracking import INTENSITY, LENGTH_SCALE, MEAN, SETTLED, wind_at_links
 
 LINKS, SHORT = 20, 6
 STIFFNESS, YAW, DRAG = "joints.pitch_stiffness", "joints.yaw_stiffness", "air.drag_coefficient"
-SPREAD = 0.05  # of stiffness
-DRAWN, PRIOR = 0.15, 0.3  # of drag, and what the tracker takes for it
+SPREAD = 0.05  # standard deviation of the logarithm of the stiffness
+DRAWN, PRIOR = 0.15, 0.3  # relative standard deviation of C_D: of its true value, in the tracker
 NOISE, DELAY, INTERVAL = 0.02, 0.5, 0.1  # m, s, s
-LEFT = 0.8  # of the stiffness after a leak
-EVERY = 10.0  # s, from one command to the next
-FLIES, HOURS, PART = 120.0, 2.0, 0.25  # s; h of arms without a leak, in runs of so many
-GUSTY = 4  # of the arms
-# What is to be reached.
-WITHIN, OFTEN, FALSE = 30.0, 0.9, 1.0  # s, share of arms, false alarms in 20 h
-OFF, WIDER = 2.0, 1.2  # errors of the drag, and their size over that of a fit
-ALIKE = 0.1  # of its errors from a fit, of a tracker that is as sure of all else
+LEFT = 0.8  # fraction of the stiffness after a leak
+EVERY = 10.0  # s, interval between commands
+FLIES, HOURS, PART = 120.0, 2.0, 0.25  # s; h of arms without a leak, and duration of each run
+GUSTY = 4  # number of arms in gusts
+# Requirements.
+WITHIN, OFTEN, FALSE = 30.0, 0.9, 1.0  # s, fraction of arms, false alarms in 20 h
+OFF, WIDER = 2.0, 1.2  # error of C_D in standard errors; standard error relative to that of a fit
+ALIKE = 0.1  # difference from a fit in standard errors, for a tracker with the same assumptions
 
 
 def run(size: int, seed: int, links: int = LINKS, hours: float = HOURS) -> Figures:
-    """Figures of `size` arms: of their drag, of a leak, and of `hours` without one."""
+    """Return the figures of `size` arms: C_D, a leak, and `hours` of flight without a leak."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -39,7 +39,7 @@ def run(size: int, seed: int, links: int = LINKS, hours: float = HOURS) -> Figur
 
 
 def part(size: int, seed: int) -> Figures:
-    """Of short arms."""
+    """Return the figures of short arms."""
     return run(size, seed, SHORT, PART)
 
 
@@ -55,7 +55,7 @@ def _arm(rng: np.random.Generator, links: int, hours: float) -> dict[str, Any]:
     fitted = fit(late, flown, free=[DRAG], nuisances=False).parameters[DRAG]
     unknown = Unknown(estimated={DRAG: PRIOR * drag})
     found = track(late, flown, unknown=unknown).filtered
-    # As sure of the start and of the equation of motion as the fit is.
+    # The same assumptions as in the fit: exact initial state and exact equation of motion.
     unknown = dataclasses.replace(unknown, torque=1e-9, at_start=(1e-7, 1e-7))
     alike = track(late, flown, unknown=unknown).smoothed
     value, error = found.parameters[DRAG][-1], found.parameter_deviations[DRAG][-1]
@@ -95,7 +95,7 @@ def _arm(rng: np.random.Generator, links: int, hours: float) -> dict[str, Any]:
 
 
 def _in_gusts(rng: np.random.Generator) -> dict[str, Any]:
-    """A leak of a short arm in gusts."""
+    """Return the figures of a leak of a short arm in gusts."""
     from giajax import ArmModel, replace, takeichi_20m_full, track
     from giajax.apps.tracking import Air, Unknown, usual_places
     from giajax.apps.wind import first_guess
@@ -131,7 +131,7 @@ def recorded(
     *,
     gusty: bool = False,
 ) -> Any:
-    """A run of the arm, whose stiffness falls at some time."""
+    """Return a run of the arm, whose stiffness decreases at the time `leaks`."""
     from giajax import Run, replace, simulate
     from giajax.simulation import logged, ramps
 
@@ -160,7 +160,7 @@ def recorded(
 
 
 def _shares(figures: Figures) -> tuple[float, float, int, int]:
-    """Leaks that are seen in time, false alarms in 20 h, and drags that are right and as sure."""
+    """Return detections in time, false alarms in 20 h, and correct and precise estimates."""
     arms = figures["arms"]
     soon = [a["found_after_s"] is not None and a["found_after_s"] <= WITHIN for a in arms]
     hours = figures["hours"] + len(arms) * FLIES / 7200
@@ -171,8 +171,8 @@ def _shares(figures: Figures) -> tuple[float, float, int, int]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Leaks that are not seen, alarms that are false, and a drag far off."""
-    del stored  # the limits are for every arm
+    """Report undetected leaks, false alarms, and estimates of C_D with large errors."""
+    del stored  # the limits apply to every arm
     soon, false, _, _ = _shares(new)
     sentences = []
     if soon < OFTEN and len(new["arms"]) * (1 - soon) > 1:
@@ -192,7 +192,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """What is to be shown, and what was."""
+    """Return a table of the requirements and the figures."""
     arms = figures["arms"]
     soon, false, right, sure = _shares(figures)
     found = [arm["found_after_s"] for arm in arms if arm["found_after_s"] is not None]
@@ -243,7 +243,7 @@ def table(figures: Figures) -> list[str]:
         "except in the last row. A fit assumes that the initial state and the equation of motion "
         "are exact. The tracker assumes an uncertainty of 2 degrees in the initial angles, and "
         "its default unmodelled torque. Gusts have a standard deviation of "
-        f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s and are tracked.",
+        f"{INTENSITY * float(np.linalg.norm(MEAN)):.2g} m/s, and the tracker estimates them.",
     ]
 
 

@@ -1,8 +1,8 @@
-"""Missions: how often the operator brings the arm of the mock-up to its opening, in how much wind.
+"""Missions: how often the operator brings the mock-up arm to its opening, by wind speed.
 
-Both readings of the 14 m that the paper gives, with arms and air that are drawn as the files say:
-`[mission.wind]` and `[mission.spread]`. An arm and its gusts are the same at each speed of the air
-but for that.
+The study includes both interpretations of the 14 m in the paper. Arms and winds are sampled as the
+files specify in `[mission.wind]` and `[mission.spread]`. The same arms and gusts are used at each
+wind speed.
 """
 
 import math
@@ -14,19 +14,19 @@ from ._study import Figures, Study, shares_differ
 
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
 GEOMETRIES = {"on the level": "horizontal", "along the line": "slanted"}
-"""Stored names of the two geometries as the page has them."""
+"""Stored names of the two geometries -> names on the page."""
 
 WINDS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)
 
 
 def run(size: int, seed: int, names: tuple[str, ...] = tuple(FILES)) -> Figures:
-    """Figures of about `size` missions, as many of each reading and at each speed of the air."""
+    """Return the figures of about `size` missions, equally many for each geometry and wind."""
     count = math.ceil(size / (len(FILES) * len(WINDS)))
     return {name: _flown(ROOT / "missions" / FILES[name], count, seed) for name in names}
 
 
 def part(size: int, seed: int) -> Figures:
-    """One reading."""
+    """Return the figures of one geometry."""
     return run(size, seed, ("on the level",))
 
 
@@ -53,7 +53,7 @@ def _short(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Shares of success that differ by more than chance lets them (Fisher's exact test)."""
+    """Report success rates that differ by more than by chance (Fisher's exact test)."""
     sentences = []
     for name, after in new.items():
         for one, other in zip(stored[name]["winds"], after["winds"], strict=True):
@@ -70,15 +70,15 @@ REASONS = {
     "the tip came near, and not in": "the tip approached the opening and did not enter it",
     "the tip came in, and did not stay": "the tip entered the opening and did not stay inside",
 }
-"""Stored reasons of failures as the page has them."""
+"""Stored reasons of failures -> reasons on the page."""
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each reading and speed of the air."""
+    """Return a table with a row for each geometry and wind speed."""
     rows = [
-        "| direction of the 14 m | air speed, m/s | missions inside within 12 min | 95 % interval "
-        "of the share | median time, s | quartiles, s | missions with contact | largest "
-        "flattening, mm | largest contact force, N | reasons for failure |",
+        "| direction of the 14 m | air speed, m/s | missions with the tip inside within 12 min | "
+        "95 % interval of the share | median time, s | quartiles, s | missions with contact | "
+        "largest flattening, mm | largest contact force, N | reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -100,9 +100,11 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Parameters sampled for each case, and standard deviations of their logarithms: {drawn}. "
-        "The air has a horizontal mean flow of 0.3 times its speed in any direction; gusts with a "
-        "length scale of 2 m along the arm make up the rest. The radius of a link is 150 mm.",
+        "The following parameters are sampled for each case, with these standard deviations of "
+        f"their logarithms: {drawn}. "
+        "The mean flow of the air is horizontal and has a random direction. Its speed is 0.3 times "
+        "the air speed. Gusts with a length scale of 2 m along the arm make up the rest. The "
+        "radius of a link is 150 mm.",
     ]
 
 

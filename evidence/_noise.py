@@ -1,11 +1,11 @@
-"""Intervals under correlated noise: how often they hold the truth, by the way of estimating it.
+"""Intervals under correlated noise: coverage by method of estimation.
 
-A linear model with four smooth columns, such as the motion of a slow arm has, and noise whose
-memory is known: an AR(1) of correlation rho from one sample to the next of 0.1 s, or white. Each
-replicate is estimated as a fit does at its optimum, by `giajax.noise`. Beside it is what else one
-could do: least squares with 1.96 standard errors of white noise, whose size comes from the
-residuals, and for a single evenly sampled channel the two ways of statsmodels, `GLSAR` (an AR(1)
-without white noise, iterated) and least squares with `HAC` errors (Newey and West).
+A linear model has four smooth columns, similar to the motion of a slow arm. Its noise is AR(1) with
+a known correlation rho from one sample to the next (0.1 s), or white. Each replicate is estimated
+by `giajax.noise`, as in a fit at its optimum. Alternatives for comparison are least squares with
+1.96 standard errors of white noise estimated from the residuals, and for one evenly sampled channel
+the two methods of statsmodels: `GLSAR` (iterated, AR(1) without white noise) and least squares with
+`HAC` errors (Newey and West).
 """
 
 from collections import Counter
@@ -24,7 +24,7 @@ LEVEL = 0.95
 
 
 class Case(NamedTuple):
-    """A cell of the factorial."""
+    """A combination of the factors of the study."""
 
     rho: float
     samples: int
@@ -41,12 +41,12 @@ class Case(NamedTuple):
 
     @property
     def lengths(self) -> float:
-        """Correlation times that a record has; infinite where noise is white."""
+        """Duration of a record in correlation times; infinite if the noise is white."""
         return np.inf if self.rho == 0 else -self.samples * np.log(self.rho)
 
 
 def cases() -> Iterator[Case]:
-    """All combinations, and long records for the longest memory."""
+    """Yield all combinations, and long records for the longest correlation time."""
     for rho, samples in ((0.0, 250), (0.5, 250), (0.9, 250), (0.99, 250), (0.99, 2500)):
         for gaps in (False, True):
             for channels in (1, 2):
@@ -55,9 +55,9 @@ def cases() -> Iterator[Case]:
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` replicates of each case, on all cores."""
+    """Return the figures of `size` replicates of each case, computed on all cores."""
     tasks = [(case, size, seed, index) for index, case in enumerate(cases())]
-    # The longest records first, so that no core waits for another at the end.
+    # Start with the longest records, so all cores end at about the same time.
     order = sorted(tasks, key=lambda task: -task[0].samples)
     with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
         counts = {task: pool.submit(_counts, *task) for task in order}
@@ -65,7 +65,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Figures of every fifth case, of all memories, in one process."""
+    """Return the figures of every fifth case, with all correlation times, in one process."""
     some = list(enumerate(cases()))[2::5]
     return _figures(size, {case: _counts(case, size, seed, index) for index, case in some})
 
@@ -91,13 +91,13 @@ def _counts(case: Case, size: int, seed: int, index: int) -> Counter[str]:
 
 
 def _ways(case: Case) -> tuple[str, ...]:
-    """The ways of estimating that a case is for."""
+    """Return the methods of estimation that apply to a case."""
     ours = ("within", "within_if_white")
     return ours if case.gaps or case.channels > 1 else (*ours, "within_glsar", "within_hac")
 
 
 def _replicate(case: Case, rng: np.random.Generator) -> dict[str, int]:
-    """How many of four intervals hold the truth, by each way; whether the record seems short."""
+    """Count the intervals that contain the truth, by method, and a detected short record."""
     times = np.arange(case.samples) * STEP_S
     if case.gaps:
         times = times[(rng.random(case.samples) > 0.2) & ((times % 6) < 5)]
@@ -151,10 +151,10 @@ def _if_white(columns: np.ndarray, values: np.ndarray) -> int:
 
 
 def _peers(columns: np.ndarray, values: np.ndarray) -> dict[str, int]:
-    """Of statsmodels; its intervals are those of Student's t."""
+    """Return the counts for statsmodels; its intervals use Student's t."""
     from statsmodels.regression.linear_model import GLSAR, OLS
 
-    # The rule of thumb of Newey and West (1994).
+    # Rule of thumb of Newey and West (1994).
     lags = int(np.ceil(4 * (len(values) / 100) ** (2 / 9)))
     glsar = GLSAR(values, columns, rho=1).iterative_fit(maxiter=8)
     hac = OLS(values, columns).fit(cov_type="HAC", cov_kwds={"maxlags": lags}, use_t=True)
@@ -165,7 +165,7 @@ def _peers(columns: np.ndarray, values: np.ndarray) -> dict[str, int]:
 
 
 def _mixing(channel: int) -> np.ndarray:
-    """Channels respond to the four parameters differently."""
+    """Return a matrix that makes channels respond differently to the four parameters."""
     return np.eye(4) + 0.5 * np.roll(np.eye(4), channel, axis=1) * (channel > 0)
 
 
@@ -180,9 +180,9 @@ def _quantile(freedom: np.ndarray) -> np.ndarray:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Cells whose share of intervals cannot be one, by Fisher's exact test on records.
+    """Report cases whose coverage differs, by Fisher's exact test on records.
 
-    The four intervals of a record go together, so that a record counts once.
+    The four intervals of a record are correlated, so a record counts once.
     """
     if not stored.keys() >= new.keys():
         return ["the cases differ from the stored cases: run the study again"]
@@ -203,7 +203,7 @@ def _share(figures: dict[str, Any], key: str) -> str:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each case."""
+    """Return a table with a row for each case."""
     rows = [
         "| noise and record | length in correlation times | coverage, giajax | coverage, white "
         "noise assumed | coverage, GLSAR | coverage, HAC | records with the warning 'shorter than "

@@ -1,11 +1,11 @@
-"""Omissions: how often a fit of a wrong model is called adequate, and far from the truth.
+"""Omissions: how often the fit of an incomplete model is judged adequate, with wrong values.
 
-Motions of an arm of 12 links are those of MuJoCo (RK4 at 10 ms), and their recordings have one
-thing that the fitted model does not: of the camera, of the drives, of the air or of the joints. Two
-sensor sets see each, 12 channels with 10 mm of white noise and 4 with 20 mm, both stated. A fit is
-*off* where one of its four parameters is more than three of its standard errors from the truth. It
-has *named* the omission where that, or what the data can hardly tell from it, is among the first
-three suspects.
+Motions of an arm of 12 links are simulated by MuJoCo (RK4 with steps of 10 ms). Each recording has
+one effect that the fitted model lacks, of the camera, the drives, the air or the joints. Two sensor
+sets record each motion: 12 channels with 10 mm of white noise and 4 with 20 mm, both stated. A fit
+is *off* if one of its four parameters deviates from the truth by more than three standard errors.
+It has *named* the omission if the omission, or an effect that the data can hardly distinguish from
+it, is among the first three suspects.
 """
 
 import dataclasses
@@ -45,20 +45,20 @@ UNCERTAIN = ("camera.delay", "camera.clock_rate", "camera.scale", "links.diamete
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """What a recording has that the fitted model does not.
+    """Effects in a recording that the fitted model lacks.
 
     Attributes:
-        named: suspects that are right, by the beginning of their path.
-        arm: keywords of the arm that moves.
-        parameters: of it, on top of the truth.
-        command: what the drives do of what is commanded (rad), by the times; what was commanded.
-        friction: strength of Dahl's friction in every joint, N m.
-        torque: of all joints (N m) on top of their springs, from the time (s), their deflections
-            (rad) and stiffnesses (N m/rad).
-        stamp: the true time of a time stamp, s.
-        seen: what is recorded of true positions (m), shape (sample, point, 3), by the times.
-        drawn: how many of delay, rate, scale and width of each recording are drawn from what is
-            usual; those in turn, where not all are.
+        named: correct suspects, by the start of their path.
+        arm: keywords of the simulated arm.
+        parameters: parameters of this arm, in addition to the true values.
+        command: motion of the drives (rad), from times and commanded angles.
+        friction: strength of the Dahl friction in every joint, N m.
+        torque: torques of all joints (N m) in addition to their springs, from the time (s), their
+            deflections (rad) and stiffnesses (N m/rad).
+        stamp: true time of a time stamp, s.
+        seen: recorded positions from times and true positions (m), shape (sample, point, 3).
+        drawn: number of the calibration errors (delay, rate, scale and width) that are sampled for
+            each recording; if it is less than four, they take turns.
     """
 
     named: tuple[str, ...] = ()
@@ -73,7 +73,7 @@ class Case:
 
 
 def _lagged(times: Array, angles: Array, lag: float = 0.4) -> Array:
-    """A first-order lag of what is linear between rows, exactly at the rows."""
+    """Return a first-order lag of piecewise linear angles, exact at the rows."""
     out, step = angles.copy(), times[1] - times[0]
     fade = np.exp(-step / lag)
     for row in range(1, len(out)):
@@ -83,7 +83,7 @@ def _lagged(times: Array, angles: Array, lag: float = 0.4) -> Array:
 
 
 def _exchanged(times: Array, points: Array) -> Array:
-    """From the middle of the run on, the camera takes two markers for each other."""
+    """Exchange two markers in the second half of the run."""
     swapped = points.copy()
     late = times > END / 2
     swapped[late, 1], swapped[late, 2] = points[late, 2], points[late, 1]
@@ -91,12 +91,12 @@ def _exchanged(times: Array, points: Array) -> Array:
 
 
 def _without(joint: int, angles: Array) -> Array:
-    """A joint whose drive does nothing."""
+    """Return the angles if the drive of a joint does not move."""
     return np.where(np.arange(1, LINKS + 1) == joint, 0.0, angles)
 
 
 def _by_a_lens(times: Array, points: Array) -> Array:
-    """A lens that points at the middle of the straight arm, and draws its ends nearer."""
+    """Apply a lens that points at the middle of the straight arm and contracts its ends."""
     del times
     middle = np.array([LINKS / 2, 0.0, 0.0])
     across = (points - middle) / (LINKS / 2)
@@ -104,7 +104,7 @@ def _by_a_lens(times: Array, points: Array) -> Array:
 
 
 def _glitching(times: Array, points: Array) -> Array:
-    """Of all cells 2 % show something else, 0.3 m off."""
+    """Replace 2 % of the cells by outliers with a standard deviation of 0.3 m."""
     del times
     random = np.random.default_rng(7)
     wrong = random.random(points.shape) < 0.02
@@ -112,7 +112,7 @@ def _glitching(times: Array, points: Array) -> Array:
 
 
 def _still(times: Array, points: Array) -> Array:
-    """From the middle of the run on, one marker is where it was last seen."""
+    """Hold one marker at its position in the second half of the run."""
     still = points.copy()
     late = np.flatnonzero(times > END / 2)
     still[late, 1] = points[late[0], 1]
@@ -201,7 +201,7 @@ AND = " + "
 
 
 def case_of(name: str) -> Case:
-    """One of `CASES`, or all that several are at once, whose names are joined by `AND`."""
+    """Return one of `CASES`, or the combination of several whose names are joined by `AND`."""
     parts = [CASES[one] for one in name.split(AND)]
     torques = [each.torque for each in parts if each.torque is not None]
 
@@ -226,19 +226,19 @@ def case_of(name: str) -> Case:
 
 
 def run(size: int, seed: int, names: Sequence[str] = OMITTED) -> Figures:
-    """Figures of `size` recordings of each case and sensor set, with random numbers of its own."""
+    """Return the figures of `size` recordings of each case and sensor set."""
     return {cell: counted(found) for cell, found in repeated(size, seed, names, one).items()}
 
 
 def part(size: int, seed: int) -> Figures:
-    """Figures of a late camera alone."""
+    """Return the figures of a delayed camera only."""
     return run(size, seed, ("camera 30 ms late",))
 
 
 def repeated(
     size: int, seed: int, names: Sequence[str], single: Callable[..., Figures]
 ) -> dict[str, list[Figures]]:
-    """What `single` finds in `size` recordings of each case and sensor set."""
+    """Return the results of `single` for `size` recordings of each case and sensor set."""
     cells = [(name, sensors) for name in names for sensors in SENSORS]
     arguments = [
         {"name": name, "sensors": sensors, "entropy": [seed, number]}
@@ -254,10 +254,10 @@ def repeated(
 def kept(
     single: Callable[..., Figures], arguments: Sequence[Mapping[str, Any]], every: int
 ) -> list[Figures]:
-    """What `single` finds for each of these arguments, by this commit.
+    """Return the result of `single` for each of these arguments, computed by this commit.
 
-    Two processes share them, and each is kept until all of this commit are done: the studies take
-    hours, and the same command goes on where it was stopped.
+    Two processes share the work. Each result is stored until all results of this commit are
+    complete, because the studies take hours and the same command must be able to continue.
     """
     from giajax.runtime.execution import open_executor, run_tasks
     from giajax.runtime.tasks import Task
@@ -269,7 +269,7 @@ def kept(
         if done % every == 0 or outcome.status == "failed":
             print(f"{done} of {count}: {outcome.message or outcome.status}", flush=True)
 
-    # What no commit holds cannot be gone on with: nothing says what it was.
+    # Results of uncommitted code are not stored, because their code would not be known later.
     folder = None if code is None else ROOT / "giajax-out" / "evidence" / "omissions"
     with open_executor(2) as executor:
         outcomes = run_tasks(tasks, executor=executor, folder=folder, progress=told)
@@ -280,7 +280,7 @@ def kept(
 
 @functools.cache
 def _motion(name: str) -> tuple[Array, Array, Array]:
-    """Fine times (s), what was commanded (rad), and positions (m), (sample, point, 3)."""
+    """Return fine times (s), commanded angles (rad), and positions (m), (sample, point, 3)."""
     import jax.numpy as jnp
 
     from giajax import takeichi_20m
@@ -326,9 +326,9 @@ def _motion(name: str) -> tuple[Array, Array, Array]:
 def recorded(
     name: str, sensors: str, entropy: list[int], **arm: Any
 ) -> tuple["Run", dict[str, float]]:
-    """A recording with noise of its own, by seed and number, and the truth.
+    """Return a recording with its own noise, by seed and number, and the true values.
 
-    What it says of its arm is the number of links and `arm`.
+    Its definition of the arm contains the number of links and `arm`.
     """
     from scipy.interpolate import CubicSpline
 
@@ -342,7 +342,7 @@ def recorded(
     places = [seed, *cases, list(SENSORS).index(sensors), number]
     random, values, truth = np.random.default_rng(places), {}, dict(TRUTH)
     late, rate, scale, width = _of_device(case.drawn, random, number)
-    # Drag is C_D times the width: of a wider arm with as much drag, C_D is smaller.
+    # Drag is proportional to C_D times the width, so a wider arm with equal drag has a smaller C_D.
     truth["air.drag_coefficient"] /= width
     true = np.clip((1 + rate) * case.stamp(stamps) - late, 0.0, fine[-1])
     points = scale * case.seen(stamps, CubicSpline(fine, positions)(true))
@@ -363,7 +363,7 @@ def recorded(
 
 
 def _of_device(drawn: int, random: np.random.Generator, number: int) -> Array:
-    """Delay (s), rate, scale and width of one recording, those drawn that are."""
+    """Return delay (s), rate, scale and width of a recording; `drawn` of them are not exact."""
     right = np.array([0.0, 0.0, 1.0, 1.0])
     if not drawn:
         return right
@@ -373,14 +373,14 @@ def _of_device(drawn: int, random: np.random.Generator, number: int) -> Array:
 
 
 def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
-    """What a fit of one recording says, by a commit of giajax."""
+    """Return the figures of the fit of one recording; `code` is the commit of giajax."""
     del code
     recording, truth = recorded(name, sensors, entropy)
     return judged(CASES[name], fitted(recording), truth)
 
 
 def judged(case: Case, result: "FitResult", truth: Mapping[str, float]) -> Figures:
-    """What a fit says of a recording whose truth is known."""
+    """Return the figures of a fit to a recording with known true values."""
     shares, covered = {}, 0
     for path, value in truth.items():
         found = result.parameters[path]
@@ -391,7 +391,7 @@ def judged(case: Case, result: "FitResult", truth: Mapping[str, float]) -> Figur
     there = [path for path in result.nuisances if _is_there(result, path)]
     rank = next((i for i, those in enumerate(paths, 1) if _is_named(case, those)), None)
     if rank is None and _is_named(case, tuple(there)):
-        rank = 1  # It is fitted.
+        rank = 1  # the fit includes the effect
     return {
         "status": result.verdict.status,
         "reasons": [reason.code for reason in result.verdict.reasons],
@@ -403,7 +403,7 @@ def judged(case: Case, result: "FitResult", truth: Mapping[str, float]) -> Figur
 
 
 def counted(found: Sequence[Figures]) -> Figures:
-    """How many fits of a case said what."""
+    """Return the counts of the outcomes of the fits of a case."""
     counts: Counter[str] = Counter()
     instead: Counter[str] = Counter()
     for each in found:
@@ -423,7 +423,7 @@ def counted(found: Sequence[Figures]) -> Figures:
 
 
 def fitted(recording: "Run") -> "FitResult":
-    """The fit, judged as `giajax fit` does."""
+    """Fit a recording, with the suspects of `giajax fit`."""
     import giajax
     from giajax.studies import with_suspects
 
@@ -433,12 +433,12 @@ def fitted(recording: "Run") -> "FitResult":
     try:
         return with_suspects(result, recording, parameters_alone=adequate)
     except giajax.InputError:
-        # A fit may end where the model cannot be evaluated with all parts on.
+        # With all parts switched on, the model may not be computable where the fit ended.
         return result
 
 
 def _first(result: "FitResult") -> list[tuple[str, ...]]:
-    """The first significant suspects, each with those that are alike."""
+    """Return the first significant suspects, each with those that are indistinguishable."""
     from giajax.studies import LEVEL, promising
 
     rows = [
@@ -450,7 +450,7 @@ def _first(result: "FitResult") -> list[tuple[str, ...]]:
 
 
 def _is_there(result: "FitResult", path: str) -> bool:
-    """Whether a nuisance of a fit is surely not what it would be of a device that is right."""
+    """Return whether a fitted calibration error is significant."""
     estimate = result.parameters[path]
     right = 1.0 if path == "camera.scale" else 0.0
     return abs(estimate.value - right) > OFF * (estimate.standard_error or np.inf)
@@ -461,7 +461,7 @@ def _is_named(case: Case, paths: tuple[str, ...]) -> bool:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance too seldom in the counts of this study."""
+    """Report counts of this study that differ by more than by chance."""
     return differing(stored, new, {"adequate": "judged adequate in", "named": "named in"})
 
 
@@ -497,7 +497,7 @@ _SHOWN = {
 
 
 def shown(case: str) -> str:
-    """The stored name of a case, or of several, in the words of the page."""
+    """Return the stored name of one or more cases in the wording of the page."""
     for stored, words in _SHOWN.items():
         if case == stored or case.startswith(f"{stored}; ") or f"; {stored}" in case:
             case = case.replace(stored, words, 1)
@@ -505,7 +505,7 @@ def shown(case: str) -> str:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each omission and sensor set."""
+    """Return a table with a row for each omission and sensor set."""
     rows = [
         "| omission; recorded coordinates | verdict `adequate` | verdict `doubtful` | deviation "
         "above 3 standard errors | `adequate` and deviation above 3 standard errors | omission "
@@ -527,10 +527,11 @@ OMISSIONS = Study(
         "MuJoCo simulates recordings of an arm of 12 links, each with one effect that the fitted "
         "model omits. The table lists how often the verdict is `adequate`, how often a parameter "
         "deviates from the truth by more than three standard errors, how often both occur "
-        "together, and how often the omission is identified. An omission is identified if it, or "
-        "an effect that the data can hardly distinguish from it, is among the first three "
-        "suspects, or if every fit frees it as a nuisance parameter. The recordings contain "
-        "x, y and z of four points with a noise of 10 mm, or only z with a noise of 20 mm."
+        "together, and how often the omission is identified. An omission is identified if the "
+        "omitted effect, or an effect that the data can hardly distinguish from it, is among the "
+        "first three suspects. It is also identified if every fit frees the effect as a nuisance "
+        "parameter. The recordings contain x, y and z of four points with a noise of 10 mm, or "
+        "only z with a noise of 20 mm."
     ),
     size=20,
     seed=1,

@@ -1,4 +1,4 @@
-"""The page that shows the stored figures, written from their files."""
+"""Write the page that shows the stored figures."""
 
 from collections.abc import Iterable
 
@@ -14,15 +14,15 @@ This page lists the results of studies that take too long for a test. `make evid
 a study and writes its figures to the JSON file that is linked below its table, together with the
 commit, the versions and the random seed. `make test-long` repeats a fiftieth of each
 study, or some of its cases, with other random numbers, and compares the results. If an interrupted
-study was resumed, the stated time is that of the last run.
+study was resumed, the time that is given covers only the last run.
 """
 
 
 def page(studies: Iterable[Study]) -> str:
-    """The text of the page.
+    """Return the text of the page.
 
     Arguments:
-        studies: in the order of the page; those that were never run are left out.
+        studies: studies in the order of the page; those without a stored file are left out.
     """
     return "\n".join([_INTRODUCTION, *(_section(study) for study in studies if _is_stored(study))])
 

@@ -1,7 +1,7 @@
-"""Planned commands beside the way there at the largest rate, and shaped, on arms that are drawn.
+"""Plans: compare planned commands with direct and shaped ones on sampled arms.
 
-An arm in full air has stiffness, drag and damping drawn, every fourth has joints that remember, and
-two joints turn by angles that are drawn. `giajax plan` looks for the fastest command within the
+The stiffness, drag and damping of an arm in full air are sampled. Every fourth arm has joints with
+memory. Two joints move by sampled angles. `giajax plan` searches for the fastest command within the
 limits; `giajax shape` shapes the direct one.
 """
 
@@ -12,16 +12,16 @@ import numpy as np
 from ._shaping import MEMORY, SPREAD, drawn_arm
 from ._study import Figures, Study
 
-ANGLES = (8.0, 25.0)  # deg, of the base joint, and half of them of a joint further out
+ANGLES = (8.0, 25.0)  # deg, of the base joint; another joint moves by half of this angle
 LINKS, RATE = 20, 2.0  # deg/s
 SHORT, QUICK = 3, 8.0
-# What a plan may be off at most after its command, % of the travel, and by how much more here.
+# Largest allowed error of a plan after its command, % of the travel, and a factor for the tests.
 NEAR, BESIDE = 2.0, 1.1
 SHAPERS = ("ZVD", "EI")
 
 
 def run(size: int, seed: int, links: int = LINKS, rate: float = RATE) -> Figures:
-    """Figures of `size` arms."""
+    """Return the figures of `size` arms."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -33,12 +33,12 @@ def run(size: int, seed: int, links: int = LINKS, rate: float = RATE) -> Figures
 
 
 def part(size: int, seed: int) -> Figures:
-    """Of short arms with faster drives."""
+    """Return the figures of short arms with faster drives."""
     return run(size, seed, SHORT, QUICK)
 
 
 def _arm(number: int, rng: np.random.Generator, links: int, rate: float) -> dict[str, Any]:
-    """Of each command: its end and when the tip is at rest, s; residuals, % of the travel."""
+    """Return for each command its end, time to rest (s) and residual swing (% of the travel)."""
     from giajax import ArmModel, InputError
     from giajax.apps.planning import CommandLimits, Pose, plan_command
     from giajax.apps.shaping import shape_command
@@ -70,8 +70,8 @@ def _arm(number: int, rng: np.random.Generator, links: int, rate: float) -> dict
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Plans that miss their target, or that are slower than a shaped command."""
-    del stored  # those limits are for every arm
+    """Report plans that miss their target, or that are slower than a shaped command."""
+    del stored  # the limits apply to every arm
     sentences = []
     for number, each in enumerate(new["arms"]):
         if "refused" in each:
@@ -94,11 +94,11 @@ def _or_never(time: float | None) -> float:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each command, of arms with springs alone and of those that remember."""
+    """Return a table with a row for each command, for arms without and with joint memory."""
     rows = [
         "| joints | command | end of the command, median, s | tip at rest, median, s | tip at "
         "rest, latest, s | never at rest | residual, median | residual with a stiffness changed "
-        "by a quarter, median | same, largest |",
+        "by a quarter, median | largest residual with this stiffness |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for remembers, what in ((False, "springs only"), (True, "with memory")):
@@ -140,7 +140,8 @@ def table(figures: Figures) -> list[str]:
         f"{np.nanmax(sooner):.2f}). A tip is counted as never at rest if it is not at rest within "
         "three periods of the slowest mode after the end of the command.",
         "",
-        f"Parameters sampled for each arm, and standard deviations of their logarithms: {drawn}. "
+        "The following parameters are sampled for each arm, with these standard deviations of "
+        f"their logarithms: {drawn}. "
         f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees, and "
         f"another joint moves by half this angle. The largest rate is "
         f"{figures['rate_deg_per_s']:g} degrees per second.",
@@ -148,7 +149,7 @@ def table(figures: Figures) -> list[str]:
 
 
 def _sooner(commands: dict[str, Any]) -> float:
-    """Time until the tip rests by the plan, over that of the sooner shaped command."""
+    """Return the time to rest of the plan relative to that of the faster shaped command."""
     shaped = min(_or_never(commands[name]["settled_s"]) for name in SHAPERS)
     return _or_never(commands["planned"]["settled_s"]) / shaped if np.isfinite(shaped) else np.nan
 

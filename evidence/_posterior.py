@@ -1,12 +1,12 @@
-"""Posterior: whether draws are what they are said to be, where a linear interval is and is not.
+"""Posterior: compare draws with linear intervals, and check their calibration.
 
-Where a fit is well determined, intervals of `giajax.posterior` are compared with those of the
-Jacobian: growth that is recorded to its end, and loops of a play operator, which are linear in its
-weights, so that these are its closed form. Where it is not, truths are drawn from the prior,
-recorded and fitted: the rank of a truth among independent draws is then uniform (simulation-based
-calibration, Talts et al. 2018, arXiv:1804.06788), and a 95 % interval holds 95 % of them. Growth is
-seen for a short time alone, so that a valley is bent, or its rate is known between two bounds that
-are as near as the data tell.
+For well determined fits, intervals of `giajax.posterior` are compared with those from the Jacobian.
+One fit is of growth recorded to its end, and one of loops of a play operator, which is linear in
+its weights, so the linear intervals are exact. For poorly determined fits, true values are drawn
+from the prior, recorded and fitted. The rank of a true value among independent draws is then
+uniform (simulation-based calibration, Talts et al. 2018, arXiv:1804.06788), and a 95 % interval
+contains 95 % of them. Growth is recorded for a short time only, which gives a curved valley, or its
+rate is known to be between two bounds whose distance is similar to the width of the posterior.
 """
 
 from collections.abc import Mapping
@@ -16,18 +16,18 @@ import numpy as np
 
 from ._study import PROBABILITY, Figures, Study, shares_differ
 
-# Draws among which a truth has a rank, and how many ranks are counted together.
+# Number of draws, thinning of the draws, and number of bins of ranks.
 DRAWS, EVERY, BINS = 126, 2, 8
 
 
 class Case(NamedTuple):
-    """What truths are drawn from, and how they are recorded.
+    """The prior of the true values, and the recording.
 
     Attributes:
-        duration: of a recording, s.
-        noise: its standard deviation, m.
-        amplitude: mean and deviation of its prior.
-        rate: the bounds of the rate, between which it is anywhere.
+        duration: duration of a recording, s.
+        noise: standard deviation of the noise, m.
+        amplitude: mean and standard deviation of the prior.
+        rate: bounds of the rate, whose prior is uniform.
     """
 
     duration: float
@@ -43,7 +43,7 @@ CASES = {
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of two posteriors of many draws, and of `size` of few draws of each case."""
+    """Return the figures of two long posteriors, and of `size` short ones of each case."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -96,7 +96,7 @@ def _loops(seed: int) -> Figures:
 
 
 def _compared(found: Any) -> Figures:
-    """Of each parameter, the interval over the linear one, and how far its middle is from there."""
+    """Return the width and shift of each interval relative to the linear one."""
     parameters = {}
     for label, one in found.summary.parameters.items():
         width = one.linear[1] - one.linear[0]
@@ -152,14 +152,14 @@ def _calibrated(case: Case, size: int, entropy: list[int]) -> Figures:
 
 
 def p_value(ranks: list[int]) -> float:
-    """The chance of ranks as uneven as these, were they uniform."""
+    """Return the p-value of the ranks if they are uniform (chi-square test)."""
     from scipy.stats import chisquare
 
     return float(chisquare(ranks).pvalue)
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance less often than `PROBABILITY`, or is more than 10 % off."""
+    """Report figures with a probability below `PROBABILITY`, or an error of more than 10 %."""
     from scipy.stats import chi2_contingency
 
     sentences = []
@@ -186,11 +186,11 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 SHOWN = {"a bent valley": "curved valley", "two near bounds": "two close bounds"}
-"""Stored names of models as the page has them."""
+"""Stored names of models -> names on the page."""
 
 
 def table(figures: Figures) -> list[str]:
-    """Two tables: agreement, and calibration."""
+    """Return two tables: agreement, and calibration."""
     rows = [
         "| well determined model | parameter | ratio of 95 % intervals, posterior to linear | "
         "shift of the mean relative to the interval | R-hat | ESS bulk | ESS tail |",

@@ -1,10 +1,10 @@
-"""Profiles against standard errors: the same where a fit is determined well, and right where not.
+"""Profiles: compare profile-likelihood intervals with standard errors, and check their coverage.
 
-A recording of an arm that determines its parameters well: how far the two intervals differ. Then
-two models in closed form, whose recordings differ in their noise alone: how often each of the two
-95 % intervals holds the truth, and how wide it is. One has a parameter whose truth is its bound, so
-that half of the estimates are on it; the other a valley that bends, because a slow decay is
-recorded for hardly more than its time.
+The first figures are the differences between the two intervals for a recording of an arm that
+determines its parameters well. The others are coverage and width of both 95 % intervals for two
+models in closed form, whose recordings differ only in their noise. In one model, the true value of
+a parameter is its bound, so half of the estimates are at the bound. The other one has a curved
+valley, because a slow decay is recorded for little more than its time constant.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,12 +23,12 @@ DECAY = {"amplitude": 2.0, "rate": 0.5, "offset": 0.3}
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of the recording, and of `size` fits of either model."""
+    """Return the figures of the recording, and of `size` fits of each model."""
     return {"base_step": _agreement(), **closed_forms(size, seed)}
 
 
 def closed_forms(size: int, seed: int) -> Figures:
-    """Figures of `size` fits of either model, without the arm."""
+    """Return the figures of `size` fits of each model, without the arm."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -43,7 +43,7 @@ def closed_forms(size: int, seed: int) -> Figures:
 
 
 def _agreement() -> Figures:
-    """By how much the ends of the two intervals of the arm differ, in half widths."""
+    """Return the differences between the ends of the two intervals of the arm, in half widths."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -75,7 +75,7 @@ def _coverage(
     entropy: list[int],
     size: int,
 ) -> Figures:
-    """How often either interval of each parameter holds the truth, and their widths."""
+    """Return the coverage of both intervals of each parameter, and their widths."""
     import giajax
 
     times = np.linspace(0.0, seconds, 40)
@@ -102,7 +102,7 @@ def _coverage(
                 within[path][0] += found.linear[0] <= true <= found.linear[1]
             low, high = found.interval
             missing[path] += low is None or high is None
-            # An end that the data do not give leaves nothing out.
+            # An end that the data do not determine counts as infinite.
             low, high = (-np.inf if low is None else low), (np.inf if high is None else high)
             within[path][1] += low <= true <= high
             if found.linear is not None and np.isfinite(high - low):
@@ -121,7 +121,7 @@ def _coverage(
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Shares that cannot have one probability, and an arm whose intervals have moved."""
+    """Report coverages that differ by more than by chance, and changed intervals of the arm."""
     sentences = []
     for case, before in stored.items():
         if case not in new:
@@ -142,11 +142,11 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 SHOWN = {"a bound": "parameter at a bound", "a bent valley": "curved valley"}
-"""Stored names of models as the page has them."""
+"""Stored names of models -> names on the page."""
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each parameter."""
+    """Return a table with a row for each parameter."""
     rows = [
         "| model | parameter | coverage, standard error | coverage, profile | median ratio of the "
         "widths, profile to standard error |",
@@ -177,7 +177,7 @@ PROFILE = Study(
         "its bound and one with a curved valley of the cost, the first table lists how often each "
         "95 % interval contains the truth. For the demonstration run, whose parameters are well "
         "determined, the second table lists the differences between the ends of the intervals, "
-        "relative to half of their width."
+        "divided by half the width of the interval."
     ),
     size=200,
     seed=1,

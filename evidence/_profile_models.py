@@ -11,7 +11,7 @@ from giajax.schema.parameters import parameter
 
 
 class _Curve(AbstractModel):
-    """tip_z as a function of time, without anything else that a model may say of itself."""
+    """tip_z as a function of time, with only the required methods of a model."""
 
     def definition(self) -> dict[str, Any]:
         return {}
@@ -38,7 +38,7 @@ class _Curve(AbstractModel):
 
 
 class Bend(_Curve):
-    """A parabola that does not bend downwards; linear in its parameters."""
+    """A parabola with non-negative curvature; linear in its parameters."""
 
     kind: ClassVar[str] = "bend"
     names: ClassVar[tuple[str, ...]] = ("offset", "slope", "bend")
@@ -53,7 +53,7 @@ class Bend(_Curve):
 
 
 class Decay(_Curve):
-    """An exponential and where it goes, which a short record hardly tells apart."""
+    """An exponential decay and its limit, which are correlated in a short record."""
 
     kind: ClassVar[str] = "decay"
     names: ClassVar[tuple[str, ...]] = ("amplitude", "rate", "offset")

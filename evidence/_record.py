@@ -1,4 +1,4 @@
-"""The file of a study: its figures, and what they depend on."""
+"""The file of a study: its figures, and the versions that they depend on."""
 
 import json
 import os
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "evidence"
 
 LIBRARIES = ("giajax", "jax", "jaxlib", "diffrax", "equinox", "optimistix", "lineax", "numpy")
-# What the figures depend on; the files of figures themselves do not count as changes.
+# Files on which figures depend. The stored figures themselves do not count as changes.
 SOURCES = ("src", "evidence", "constraints.txt")
 
 
@@ -23,16 +23,16 @@ def record(study: Study, size: int, seed: int) -> dict[str, Any]:
     """Run a study.
 
     Arguments:
-        study: which.
+        study: the study.
         size: number of repetitions.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Returns:
-        The content of its file: figures, size, seed, commit, versions, machine and time, s.
+        The contents of its file: figures, size, seed, commit, versions, machine and time, s.
     """
-    # Before the run: what is committed meanwhile is not what runs.
+    # Read before the run, because a commit during the run does not change the running code.
     of = _git("rev-parse", "HEAD")
-    # Figures of a working tree that no commit holds cannot be had again.
+    # Figures of uncommitted code cannot be reproduced.
     changed = commit() is None
     began = time.perf_counter()
     figures = study.run(size, seed)
@@ -53,14 +53,14 @@ def record(study: Study, size: int, seed: int) -> dict[str, Any]:
 
 
 def commit() -> str | None:
-    """The commit whose code runs; None where no commit holds it."""
+    """Return the commit whose code runs; None if the code is not committed."""
     if _git("status", "--porcelain", "--", *SOURCES) != "":
         return None
     return _git("rev-parse", "HEAD")
 
 
 def _git(*arguments: str) -> str | None:
-    """What git prints; None outside of a repository, such as in a source distribution."""
+    """Return the output of git; None outside a repository, such as in a source distribution."""
     try:
         done = subprocess.run(
             ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
@@ -71,22 +71,22 @@ def _git(*arguments: str) -> str | None:
 
 
 def write(content: dict[str, Any], folder: Path = FOLDER) -> Path:
-    """Write NAME.json into a folder; returns its path."""
+    """Write NAME.json to a folder; return its path."""
     from giajax.runtime.records import plain_data
 
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{content['study']}.json"
-    # What is no number is null: a study that ran for an hour is not lost for it.
+    # NaN is stored as null, because an error here would lose a study that ran for an hour.
     text = json.dumps(plain_data(content), indent=2, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
     return path
 
 
 def read(study: Study) -> dict[str, Any]:
-    """The stored file of a study.
+    """Read the stored file of a study.
 
     Raises:
-        FileNotFoundError: it was never run.
+        FileNotFoundError: the study was never run.
     """
     content: dict[str, Any] = json.loads((FOLDER / f"{study.name}.json").read_text("utf-8"))
     return content

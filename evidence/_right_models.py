@@ -1,7 +1,7 @@
-"""Right models: how often they are accused, and what their intervals are worth.
+"""Correct models: how often they are judged inadequate, and the coverage of their intervals.
 
-Recordings are those of `_omissions`, by the model that is fitted. Delay, rate and scale of the
-camera and the width of the arm are exact, or all drawn from what is usual, or one of them is.
+The recordings are those of `_omissions`, without an omission. Delay, rate and scale of the camera
+and the width of the arm are exact, or all sampled from their usual errors, or one of them is.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -20,18 +20,18 @@ CASES = (NOTHING, MEMORY, USUAL, SINGLE)
 
 
 def run(size: int, seed: int, names: tuple[str, ...] = CASES) -> Figures:
-    """Figures of `size` recordings of each case and sensor set."""
+    """Return the figures of `size` recordings of each case and sensor set."""
     found = omissions.repeated(size, seed, names, one)
     return {cell: figures(of_cell) for cell, of_cell in found.items()}
 
 
 def part(size: int, seed: int) -> Figures:
-    """Figures of white noise, and of a camera and an arm as they are."""
+    """Return the figures for exact devices and for the usual errors of camera and arm."""
     return run(size, seed, (NOTHING, USUAL))
 
 
 def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figures:
-    """What a fit of one recording says, by a commit of giajax."""
+    """Return the figures of the fit of one recording; `code` is the commit of giajax."""
     del code
     recording, truth = omissions.recorded(name, sensors, entropy)
     result = omissions.fitted(recording)
@@ -42,7 +42,7 @@ def one(name: str, sensors: str, entropy: list[int], code: str | None) -> Figure
 
 
 def _wider(result: "FitResult", recording: "Run", number: int) -> dict[str, float]:
-    """How many times as large errors are as those of a fit that knows which one is not exact."""
+    """Return the ratio of the errors to those of a fit that knows which quantity is not exact."""
     import giajax
 
     path = UNCERTAIN[number % len(UNCERTAIN)]
@@ -69,7 +69,7 @@ def _wider(result: "FitResult", recording: "Run", number: int) -> dict[str, floa
 
 
 def figures(found: list[Figures]) -> Figures:
-    """Counts, and medians of how much wider errors are."""
+    """Return counts, and medians of the ratios of errors."""
     counts = omissions.counted(found)
     if wider := [each["wider"] for each in found if "wider" in each]:
         ratios = {path: [each[path] for each in wider if path in each] for path in TRUTH}
@@ -80,13 +80,13 @@ def figures(found: list[Figures]) -> Figures:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance too seldom in the counts of this study."""
+    """Report counts of this study that differ by more than by chance."""
     from scipy.stats import binomtest
 
     counts = {"adequate": "judged adequate in", "with suspects": "accused by a suspect in"}
     sentences = differing(stored, new, counts)
     for name, each in new.items():
-        # Intervals of one fit go together: as many tests as there are recordings.
+        # The intervals of one fit are correlated, so each recording counts as one test.
         share, size = each["covered"] / len(TRUTH), each["recordings"]
         if binomtest(round(share), size, 0.95).pvalue < PROBABILITY:
             sentences.append(f"{name}: {share / size:.1%} of the values are in their intervals")
@@ -94,7 +94,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each kind of recording and sensor set."""
+    """Return a table with a row for each kind of recording and sensor set."""
     rows = [
         "| recording | verdict `adequate` | verdict `doubtful` | false alarms | deviation above 3 "
         "standard errors | values within their 95 % intervals | ratio of the standard errors to "
@@ -118,11 +118,11 @@ RIGHT_MODELS = Study(
     meaning=(
         "MuJoCo simulates recordings with the same model that is fitted. A false alarm is a "
         "verdict other than `adequate`, or a significant suspect. With correlated noise (rho 0.9) "
-        "that is not stated, the verdict has to be `inadequate`, and only a named suspect counts "
-        "as a false alarm. If delay, frame rate, scale and link widths are drawn from their usual "
-        "uncertainty, the intervals are those of the total error. If only one of these quantities "
-        "is drawn, the standard errors are compared with those of a fit that frees this quantity "
-        "alone, with the same prior."
+        "that is not stated, the verdict has to be `inadequate`, and only a named suspect is a "
+        "false alarm. If delay, frame rate, scale and link widths are drawn from their usual "
+        "uncertainty, the intervals are computed from the total error. If only one of these "
+        "quantities is drawn, the standard errors are compared with the standard errors of a fit "
+        "that frees only this quantity, with the same prior."
     ),
     size=167,
     seed=1,

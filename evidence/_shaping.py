@@ -1,8 +1,9 @@
-"""Shaping: what is left of a swing after commands that were shaped, on arms that are drawn.
+"""Shaping: residual swing after shaped commands on sampled arms.
 
-An arm in full air has stiffness, drag and damping drawn, some have joints that remember, and a
-base joint moves by an angle within half, one and one and a half of the period of its slowest mode.
-The command is shaped for that arm, then driven with it, and with a stiffness a quarter off.
+The stiffness, drag and damping of an arm in full air are sampled. Some arms have joints with
+memory. A base joint moves by an angle within half, one and one and a half periods of the slowest
+mode. The command is shaped for this arm. It then drives this arm, and arms whose stiffness differs
+by a quarter.
 """
 
 from typing import Any
@@ -12,18 +13,18 @@ import numpy as np
 from ._study import Figures, Study
 
 DURATIONS = (0.5, 1.0, 1.5)
-# Deviations of the logarithm.
+# Standard deviations of the logarithms.
 SPREAD = {"joints.pitch_stiffness": 0.2, "air.drag_coefficient": 0.2, "joints.damping": 0.5}
 MEMORY = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001}
 ANGLES = (5.0, 30.0)  # deg
 LINKS = 20
-# What is to be left at most, % of the travel, and with a stiffness a quarter off.
+# Largest allowed residual swing, % of the travel, also with a stiffness changed by a quarter.
 MOST = {"right": 2.0, "stiffness_off": 5.0}
-BEYOND = 1.5  # over that, of a single arm
+BEYOND = 1.5  # factor on this limit for a single arm
 
 
 def run(size: int, seed: int, links: int = LINKS) -> Figures:
-    """Figures of `size` arms, every fourth of which has joints that remember."""
+    """Return the figures of `size` arms, every fourth of which has joints with memory."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -49,12 +50,12 @@ def run(size: int, seed: int, links: int = LINKS) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Of short arms."""
+    """Return the figures of short arms."""
     return run(size, seed, 6)
 
 
 def _arm(number: int, rng: np.random.Generator, links: int) -> dict[str, dict[str, list[float]]]:
-    """By duration and shaper: residuals in % of the travel, the worse of both wrong ones, and s."""
+    """Return residuals (% of the travel; right and wrong stiffness) and time to rest, s."""
     from giajax import ArmModel
     from giajax.apps.shaping import Command, modes_after, shape_command
 
@@ -78,7 +79,7 @@ def _arm(number: int, rng: np.random.Generator, links: int) -> dict[str, dict[st
 
 
 def drawn_arm(links: int, parameters: Any, rng: np.random.Generator) -> Any:
-    """The paper's arm in full air, with stiffness, drag and damping drawn."""
+    """Return the paper's arm in full air, with sampled stiffness, drag and damping."""
     from giajax import replace, takeichi_20m_full
 
     arm = takeichi_20m_full(links, parameters=parameters)
@@ -94,8 +95,8 @@ def _value(arm: Any, path: str) -> Any:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Shapers that leave more than they may, or than the command as it is."""
-    del stored  # those limits are for every arm
+    """Report shapers whose residual exceeds the limit or that of the unshaped command."""
+    del stored  # the limits apply to every arm
     sentences = []
     for duration, rows in new["durations"].items():
         for name, row in rows.items():
@@ -115,11 +116,12 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each duration and shaper."""
+    """Return a table with a row for each duration and shaper."""
     rows = [
-        "| duration of the move, periods | shaper | residual, median | residual, largest | at most "
-        "2 % | residual with a stiffness changed by a quarter, median | same, largest | same, "
-        "at most 5 % | time until the tip is at rest, median, s |",
+        "| duration of the move, periods | shaper | residual, median | residual, largest | arms "
+        "with at most 2 % | residual with a stiffness changed by a quarter, median | largest "
+        "residual with this stiffness | arms with at most 5 % with this stiffness | time until the "
+        "tip is at rest, median, s |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for duration, each in figures["durations"].items():
@@ -137,7 +139,8 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Parameters sampled for each arm, and standard deviations of their logarithms: {drawn}. "
+        "The following parameters are sampled for each arm, with these standard deviations of "
+        f"their logarithms: {drawn}. "
         f"The angle of the base joint is uniform from {ANGLES[0]:g} to {ANGLES[1]:g} degrees. "
         "Every fourth arm has joints with memory. Residuals are relative to the travel of the tip.",
     ]
@@ -147,8 +150,8 @@ SHAPING = Study(
     name="shaping",
     meaning=(
         "The residual swing of the paper's arm in full air is measured after an unshaped command, "
-        "and after the same command shaped by `giajax shape`: for the arm that the shaper was "
-        "designed for, and for an arm whose stiffness differs by a quarter."
+        "and after the same command shaped by `giajax shape`. It is measured for the arm for "
+        "which the shaper was designed, and for an arm whose stiffness differs by a quarter."
     ),
     size=16,
     seed=1,

@@ -1,11 +1,11 @@
-"""Arms that are held before an opening in moving air, by model predictive control and by others.
+"""Station keeping: hold the tip in front of an opening in moving air, by several controllers.
 
-Arms and air are drawn as the file of the mission says. The tip is held 2.5 m before the opening by
-the corners of the opening in the late picture of its camera: by nobody, by a proportional-
-derivative law, by LQG with the estimate of the same tracker, by model predictive control, and by
-the same control that is told the true state, air and stiffness of the arm, as late as the picture
-is. The margins are pictures that come sooner and later, and joints that turn by less and more than
-told.
+Arms and winds are sampled as the file of the mission specifies. The tip is held 2.5 m in front of
+the opening, with the corners of the opening in the delayed image of its camera as measurements. The
+controllers are: none, a proportional-derivative law, LQG with the estimate of the same tracker,
+model predictive control, and the same control with the true state, wind and stiffness of the arm at
+the delay of the image. Robustness is tested with shorter and longer delays, and with joints that
+move by less and more than commanded.
 """
 
 import dataclasses
@@ -18,19 +18,19 @@ from ._steering import INTERVAL, LATENCY, knowing, mission_of
 from ._study import Figures, Study
 
 LATENCIES = (0.2, 1.0)  # s
-GAINS = (0.7, 0.85, 1.1, 1.2, 1.4)  # of the angles of joints over those of commands
+GAINS = (0.7, 0.85, 1.1, 1.2, 1.4)  # joint angle divided by commanded angle
 HELD, SHORT = 360.0, 60.0  # s
-# Grids of gains: m of the tip by m off, and by m/s; weight of a command.
+# Grids of gains: tip velocity per position error, and per velocity; weights of the command.
 PD_GAINS = ((3.0, 10.0), (10.0, 3.0), (10.0, 10.0), (10.0, 30.0), (30.0, 10.0))
 LQG_WEIGHTS, RECURSIONS = (3.0, 10.0, 30.0), 6000
 LQG = "LQG of the arm without its air"
-TUNED_ON = 2  # arms, of other seeds
-# What is to be reached, of the swing of the arm that nobody holds.
+TUNED_ON = 2  # arms, with other seeds
+# Required ratio of the swing to that of the arm without control.
 SHARE = 0.2
 
 
 def run(size: int, seed: int) -> Figures:
-    """Swings of so many arms that are held."""
+    """Return the swings of `size` arms."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -38,7 +38,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Arms held for a short time, without others beside."""
+    """Return the swings during a short time, without the other controllers."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -46,7 +46,7 @@ def part(size: int, seed: int) -> Figures:
 
 
 def _held(count: int, seed: int, seconds: float, *, alone: bool = False) -> dict[str, Any]:
-    """Swing of the tip, m, arm by arm, for each controller."""
+    """Return the swing of the tip, m, of each arm with each controller."""
     import jax.numpy as jnp
 
     from ._holding import Scaled
@@ -95,14 +95,14 @@ def _swings(mission: Any, seeds: list[int]) -> list[float]:
 
 
 def _still(mission: Any) -> Any:
-    """Joints go to commands that have the resting tip where it is to be held, and stay there."""
+    """Return the controller that moves to the commands at rest and holds them."""
     from ._holding import Still
 
     return Still(_commands_before(mission), mission.controller.rate_limit)
 
 
 def _commands_before(mission: Any) -> Any:
-    """Commands near the approach that have the tip of the resting drawn arm at the stand-off."""
+    """Return commands near the approach with the tip of the resting arm at the stand-off."""
     import jax
     import jax.numpy as jnp
 
@@ -119,7 +119,7 @@ def _commands_before(mission: Any) -> Any:
 
 
 def _pd(mission: Any) -> dict[str, Any]:
-    """Proportional-derivative laws of the tip, by the estimate of the same tracker."""
+    """Return proportional-derivative controllers of the tip, with the estimate of the tracker."""
     import jax.numpy as jnp
 
     from ._holding import ProportionalDerivative
@@ -133,7 +133,7 @@ def _pd(mission: Any) -> dict[str, Any]:
 
 
 def _lqg(mission: Any) -> dict[str, Any]:
-    """Constant gains, the best for each weight of a command, on the estimate of the tracker."""
+    """Return LQG controllers for several weights, with the estimate of the tracker."""
     import jax
     import jax.numpy as jnp
     from scipy import linalg
@@ -166,7 +166,7 @@ def _lqg(mission: Any) -> dict[str, Any]:
     for weight in LQG_WEIGHTS:
         effort = weight * np.eye(joints)
         value = cost
-        # The recursion, as scipy's solver of the Riccati equation refuses what is so stiff.
+        # Iterated, because the Riccati solver of scipy fails for a system this stiff.
         for _ in range(RECURSIONS):
             gain = np.linalg.solve(
                 effort + of_command.T @ value @ of_command, of_command.T @ value @ of_state
@@ -179,7 +179,7 @@ def _lqg(mission: Any) -> dict[str, Any]:
 
 
 def _step_times(mission: Any) -> dict[str, float]:
-    """Of a decision, ms: in the middle, and what one in a hundred takes longer."""
+    """Return the median and the 99th percentile of the time of a decision, ms."""
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -206,7 +206,7 @@ def _step_times(mission: Any) -> dict[str, float]:
 
 
 def _numbers(figures: Figures) -> dict[str, list[float]]:
-    """Swings, m; infinite where a motion was lost."""
+    """Return the swings, m; infinite if a simulation failed."""
     return {
         name: [np.inf if swing is None else swing for swing in each]
         for name, each in figures["swing_m"].items()
@@ -214,14 +214,14 @@ def _numbers(figures: Figures) -> dict[str, list[float]]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """An arm that is held worse than is to be reached, of those that are held again."""
-    del stored  # that limit is for every arm
+    """Report arms whose swing with control exceeds twice the requirement."""
+    del stored  # the limit applies to every arm
     swings = _numbers(new)
     pairs = zip(swings["nobody"], swings["mpc"], strict=True)
     return [
         f"arm {number}: the tip swings by {held:.3f} m, and by {free:.3f} m without control"
         for number, (free, held) in enumerate(pairs)
-        # In the short time of a test the arm that nobody holds hardly swings.
+        # During the short time of a test, the arm without control hardly swings.
         if held > 2 * SHARE * free
     ]
 
@@ -236,11 +236,11 @@ SHOWN = {
     "mpc, joints turn by 1.2": "mpc, joint angles 1.2 times the command",
     "mpc, joints turn by 1.4": "mpc, joint angles 1.4 times the command",
 }
-"""Stored names of controllers as the page has them."""
+"""Stored names of controllers -> names on the page."""
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each controller."""
+    """Return a table with a row for each controller."""
     swings = _numbers(figures)
     free = np.median(swings["nobody"])
     rows = [
@@ -260,11 +260,12 @@ def table(figures: Figures) -> list[str]:
         *rows,
         "",
         f"{len(swings['mpc'])} arms are held for {figures['seconds']:g} s at an air speed of 0.2 "
-        f"m/s. Images arrive {figures['latency_s']:g} s late unless another delay is stated. The "
+        f"m/s. Images arrive {figures['latency_s']:g} s late unless another delay is given. The "
         "swing is the root mean square of the tip position about its mean in the second half. The "
-        "gains of PD (1, s) and the weight of LQG are the best of a grid search on other arms; "
-        f"both controllers start after 60 s. The median time of a decision is {step['median']:g} "
-        f"ms, and the 99th percentile {step['p99']:g} ms.",
+        "two gains of the PD controller (the first is dimensionless, and the second is in s) and "
+        "the weight of the LQG controller are the best values of a grid search on other arms. Both "
+        f"controllers start after 60 s. The median time of a decision is {step['median']:g} ms, "
+        f"and the 99th percentile is {step['p99']:g} ms.",
     ]
 
 

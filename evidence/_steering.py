@@ -1,8 +1,8 @@
-"""Missions by model predictive control, by the retuned operator, and by one that knows all.
+"""Missions by model predictive control, by the retuned operator, and with a known state.
 
-Arms and air are drawn as the files of missions say, the same ones for each who drives. The one that
-knows all is the same control, told the true state, air and stiffness of the arm as late as the
-picture is.
+Arms and winds are sampled as the files of the missions specify, and are the same for all
+controllers. The controller with a known state is the same predictive control, which receives the
+true state, wind and stiffness of the arm with the delay of the image.
 """
 
 import dataclasses
@@ -17,18 +17,18 @@ from ._study import Figures, Study, shares_differ
 
 FILES = {"on the level": "naraha.toml", "along the line": "naraha_slant.toml"}
 WINDS = (0.2, 0.3)
-# The operator with the speed and the rate that brought it in soonest; touches come with them.
+# The speed and rate with which the operator arrived soonest, which also causes contacts.
 RETUNED = {"speed_m_per_s": 0.3, "approach_rate_deg_per_s": 2.0}
 DRIVERS: dict[str, tuple[str, dict[str, float]]] = {
     "operator, retuned": ("operator", RETUNED),
     "mpc": ("mpc", {}),
 }
 LATENCY = 0.5  # s
-INTERVAL, KNOWN = 0.1, 200.0  # s between decisions, and of a mission with all known
+INTERVAL, KNOWN = 0.1, 200.0  # s: between decisions; time limit with a known state
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` missions of each kind."""
+    """Return the figures of `size` missions of each kind."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -36,7 +36,7 @@ def run(size: int, seed: int) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Missions on the level by model predictive control, in the air of the paper."""
+    """Return the figures of level missions by model predictive control in the paper's wind."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -44,7 +44,7 @@ def part(size: int, seed: int) -> Figures:
 
 
 def mission_of(file: str, controller: str, **operator: float) -> Any:
-    """A mission of the folder, with other settings of its operator."""
+    """Return a mission of the folder `missions`, with other settings of its operator."""
     from giajax.apps.mission import Mission
     from giajax.recordings import Definition
 
@@ -58,7 +58,7 @@ def _missions(file: str, count: int, seed: int) -> list[dict[str, Any]]:
     rows = []
     for name in DRIVERS:
         rows += _flown(name, file, WINDS, count, seed)
-    # The same arms and air for both.
+    # The same arms and winds for both controllers.
     seeds = range(1000 * seed, 1000 * seed + max(1, count // 6))
     mission = mission_of(file, "mpc", latency_s=LATENCY)
     mpc = [mission.case(k).fly(k, drawn=mission).reached for k in seeds]
@@ -97,7 +97,7 @@ def _row(tally: Any) -> dict[str, Any]:
 
 
 def knowing(mission: Any, seed: int) -> dict[str, Any]:
-    """A mission whose control is told the state, the air and the stiffness, late."""
+    """Return the figures of a mission with a delayed true state, wind and stiffness."""
     import jax
     import jax.numpy as jnp
 
@@ -126,7 +126,7 @@ def knowing(mission: Any, seed: int) -> dict[str, Any]:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Fewer inside or more that touched than chance lets there be, by model predictive control."""
+    """Report fewer arrivals, or more contacts, than expected by chance."""
     sentences = []
     for name, rows in new.items():
         before = {(row["driver"], row["wind_m_per_s"]): row for row in stored[name]}
@@ -151,15 +151,15 @@ SHOWN = {
     "mpc, some of these, 200 s": "mpc, subset of the cases, limit of 200 s",
     "mpc that knows all, 200 s": "mpc with the true state and air, the same subset",
 }
-"""Stored names of controllers as the page has them."""
+"""Stored names of controllers -> names on the page."""
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each controller and speed of the air."""
+    """Return a table with a row for each controller and wind speed."""
     rows = [
-        "| direction of the 14 m | air speed, m/s | controller | missions inside within 12 min | "
-        "median time, s | quartiles, s | missions with contact | largest flattening, mm | "
-        "reasons for failure |",
+        "| direction of the 14 m | air speed, m/s | controller | missions with the tip inside "
+        "within 12 min | median time, s | quartiles, s | missions with contact | largest "
+        "flattening, mm | reasons for failure |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for name, each in figures.items():
@@ -180,8 +180,8 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        f"Camera images arrive {LATENCY:g} s late. The operator model is retuned: its speed is 0.3 "
-        "m/s, and its joints move to the approach at 2 deg/s.",
+        f"Camera images arrive {LATENCY:g} s late. In the retuned operator model, the speed is 0.3 "
+        "m/s, and the joints move to the approach pose at 2 deg/s.",
     ]
 
 

@@ -1,4 +1,4 @@
-"""What a study is: how it is run, compared with an earlier run of itself, and shown."""
+"""Interface of a study: its run, comparison with stored figures, and table."""
 
 import dataclasses
 from collections.abc import Callable
@@ -9,19 +9,19 @@ Figures = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """A study whose figures depend on a size and on random numbers, and on nothing else.
+    """A study whose figures depend only on a size and on random numbers.
 
     Attributes:
-        name: of the study and of its file, `docs/evidence/NAME.json`.
-        meaning: what is repeated and what the figures are, for the page.
+        name: name of the study and of its file, `docs/evidence/NAME.json`.
+        meaning: description of the repetitions and figures, for the page.
         size: number of repetitions of the stored run.
-        seed: of the random numbers of the stored run.
-        run: figures, as JSON, of (size, seed).
-        disagreements: sentences on what a smaller run of the same program with other random
-            numbers could not have found, of (stored figures, new figures).
-        table: the figures as rows of Markdown.
-        part: as `run`, but of some of the cases: what the tests run again where even one
-            repetition of all of them takes minutes; None for `run` itself.
+        seed: seed of the random numbers of the stored run.
+        run: function of (size, seed) that returns the figures, as JSON.
+        disagreements: function of (stored figures, new figures) that returns sentences on figures
+            of a smaller run with other random numbers that are inconsistent with the stored ones.
+        table: function that returns the figures as lines of Markdown.
+        part: as `run`, for some of the cases. The tests run it if one repetition of all cases takes
+            minutes; None means `run` itself.
     """
 
     name: str
@@ -35,13 +35,13 @@ class Study:
 
 
 PROBABILITY = 1e-4
-"""Of a disagreement of two runs by chance, of each comparison."""
+"""Probability of a disagreement of two runs by chance, for each comparison."""
 
 
 def shares_differ(a: int, n: int, b: int, m: int, *, fewer: bool = False) -> bool:
-    """Whether a of n and b of m cannot have one probability (Fisher's exact test).
+    """Return whether a of n and b of m have different probabilities (Fisher's exact test).
 
-    With `fewer`, only whether b of m are too few.
+    With `fewer`, the test is whether b of m are significantly fewer.
     """
     from scipy.stats import fisher_exact
 

@@ -1,10 +1,10 @@
-"""Suspects: whether an omission is seen, and is among the first three of the table.
+"""Suspects: whether an omission is detected, and is among the first three suspects.
 
-The arm of `fits/full_air.toml` is simulated with its commands and 10 mm of white noise, and fitted
-by a model that leaves out one thing (or a recording that has one thing wrong), from a start away
-from the truth. It is seen if the verdict is `inadequate`, and found if it, or what the data can
-hardly tell from it, is among the first three suspects. A random walk in place of the motion has no
-right answer: there it is counted what comes first.
+The arm of `fits/full_air.toml` is simulated with its commands and 10 mm of white noise. The fitted
+model lacks one effect (or the recording has one error), and the initial guess is away from the
+truth. The omission is seen if the verdict is `inadequate`. It is found if it, or an effect that the
+data can hardly distinguish from it, is among the first three suspects. For a random walk in place
+of the motion there is no correct answer, so the first suspects are counted.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 NOISE = 0.01
 FIRST = 3
-# Trial steps of a fit: with wrong axes, or no motion to find, the way is long, and leads far away.
+# Maximum number of steps: with wrong axes or without motion, a fit moves far from the truth.
 MOST = 80
 
 START = {
@@ -31,23 +31,23 @@ START = {
     "joints.yaw_stiffness": 20.0,
     "joints.damping": 0.12,
 }
-# What the simulated arm has more than the fitted one: 0.1 m/s, and 3 degrees.
+# Effects of the simulated arm that the fitted one lacks: the wind is 0.1 m/s, the rotation 3 deg.
 ADDED: dict[str, Any] = {
     "air.wind": [0.06, 0.06, 0.053],
     "joints.friction": 0.06,
     "camera.rotation": np.deg2rad([1.73, 1.73, 1.73]).tolist(),
     "camera.delay": 0.2,
 }
-# What the fitted arm has less than the simulated one.
+# Effects that are removed from the fitted arm.
 TAKEN = ("air.added_mass_coefficient", "arm.drag = strip", "buoyancy.trim_depth")
 AXES, WALK = "axes: y and z swapped", "a random walk"
 CASES = (*TAKEN, *ADDED, AXES, WALK)
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` recordings of each case, the noise stated in every other one.
+    """Return the figures of `size` recordings of each case; every other one states the noise.
 
-    Each recording has random numbers of its own.
+    Each recording has its own random numbers.
     """
     import jax
 
@@ -85,19 +85,19 @@ def _figures(name: str, size: int, entropy: list[int]) -> Figures:
 
 
 def _first(result: "FitResult", recording: "Run") -> list[tuple[str, ...]]:
-    """The first suspects, each with those that are alike."""
+    """Return the first suspects, each with those that are indistinguishable."""
     import giajax
 
     try:
         rows = giajax.suspects(result, recording).promising[:FIRST]
     except giajax.InputError:
-        # A fit may end where the model cannot be evaluated with all parts on: nothing is found.
+        # With all parts switched on, the model may not be computable where the fit ended.
         return []
     return [(row.path.partition("[")[0], *row.alike) for row in rows]
 
 
 def _models(name: str) -> tuple[Any, Any]:
-    """The arm that is simulated, and the one that is fitted."""
+    """Return the simulated arm and the fitted arm."""
     import giajax
 
     recording = _recording()
@@ -134,7 +134,7 @@ def _recording() -> "Run":
 def _recorded(
     name: str, motion: Mapping[str, np.ndarray], random: np.random.Generator, *, stated: bool
 ) -> "Run":
-    """What is recorded of a motion, in the case of this name."""
+    """Return the recording of a motion in the case of this name."""
     import giajax
 
     values = {key: row + NOISE * random.normal(size=len(row)) for key, row in motion.items()}
@@ -154,15 +154,15 @@ def _recorded(
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """What would happen by chance less often than `PROBABILITY` in the counts of this study."""
+    """Report counts that differ with a probability below `PROBABILITY`."""
     return differing(stored, new, {"found": "found in", "inadequate": "judged inadequate in"})
 
 
 def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[str]:
-    """What would happen by chance less often than `PROBABILITY` (Fisher's exact test).
+    """Report counts that differ with a probability below `PROBABILITY` (Fisher's exact test).
 
-    Of the counts of recordings with these keys, and what to call each. The new figures may be of
-    some of the cases.
+    `counts` maps the keys of counted recordings to their descriptions. The new figures may contain
+    only some of the cases.
     """
     sentences = []
     for name, after in new.items():
@@ -179,7 +179,7 @@ def differing(stored: Figures, new: Figures, counts: Mapping[str, str]) -> list[
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each omission."""
+    """Return a table with a row for each omission."""
     rows = [
         "| omitted effect | verdict `inadequate` | effect among the first three suspects | effect "
         "is the first suspect | other first suspects |",
@@ -195,18 +195,18 @@ def table(figures: Figures) -> list[str]:
 
 
 def listed(counts: Mapping[str, int]) -> str:
-    """What came first instead, and how often."""
+    """Return the other first suspects, and how often each occurs."""
     return ", ".join(f"`{path}` ({count})" for path, count in counts.items()) or "-"
 
 
 SUSPECTS = Study(
     name="suspects",
     meaning=(
-        "Runs of the arm of `fits/full_air.toml` with noise of 10 mm, which is stated in every "
-        "second run, are fitted by a model that omits one effect. The table lists how often the "
-        "verdict is `inadequate`, and how often the omitted effect, or one that the data can "
-        "hardly distinguish from it, is among the first three suspects. A random walk does not "
-        "correspond to any suspect."
+        "Runs of the arm of `fits/full_air.toml` have noise of 10 mm, which is stated in every "
+        "second run. They are fitted with a model that omits one effect. The table lists how "
+        "often the verdict is `inadequate`, and how often the omitted effect, or an effect that "
+        "the data can hardly distinguish from it, is among the first three suspects. A random "
+        "walk does not correspond to any suspect."
     ),
     size=6,
     seed=1,

@@ -1,4 +1,4 @@
-"""Many small fits by processes that are killed: whether any is lost, done twice, or another."""
+"""Sweeps of many small fits by killed processes: lost, repeated and different results."""
 
 import contextlib
 import itertools
@@ -20,7 +20,7 @@ import numpy as np
 from ._record import ROOT
 from ._study import Figures, Study
 
-# A play of threshold 0.2 beside a spring, with an offset that each fit holds at another value.
+# A play of threshold 0.2 and a spring, with an offset that each fit holds at another value.
 DEFINITION = """
 model = "hysteresis"
 [hysteresis]
@@ -56,7 +56,7 @@ if __name__ == "__main__":
 
 
 def run(size: int, seed: int) -> Figures:
-    """Figures of `size` fits by each kind of workers."""
+    """Return the figures of `size` fits by each kind of workers."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _write_plan(folder, size, seed)
@@ -98,7 +98,7 @@ def _sweep(folder: Path, out: str, words: Sequence[str] = ()) -> "subprocess.Pop
 
 
 def _environment() -> dict[str, str]:
-    # The same bits, whoever fits: the serial fits compute on one core, too.
+    # Results must be bit-identical, so each process, including the serial one, uses one core.
     cache = str(ROOT / ".jax_cache")
     return {**os.environ, "GIAJAX_CORES": "1", "JAX_COMPILATION_CACHE_DIR": cache}
 
@@ -106,7 +106,7 @@ def _environment() -> dict[str, str]:
 def _killed(
     folder: Path, size: int, moments: random.Random, out: str, words: Sequence[str]
 ) -> Figures:
-    """A sweep that is killed three times, and one of whose workers is killed after that."""
+    """Run a sweep that is killed three times, and then kill one of its workers."""
     fits = folder / out / "fits"
     at = sorted(moments.sample(range(1, max(size - 1, KILLS + 2)), KILLS + 1))
     written: dict[str, int] = {}
@@ -114,13 +114,13 @@ def _killed(
     began = time.monotonic()
     for number, count in enumerate(at):
         running = _sweep(folder, out, words)
-        # At least one by this process, whose worker is there to be killed.
+        # Wait for at least one fit by this process, so it has a worker to kill.
         _until(fits, max(count, len(written) + 1), running)
         if number < KILLS:
             kills += running.poll() is None
             running.kill()
             running.communicate()
-            time.sleep(1.0)  # A worker of a cluster ends what it is doing.
+            time.sleep(1.0)  # a worker of a cluster completes its current fit
         else:
             worker_killed = _kill_a_worker(fits)
             _end(running)
@@ -142,13 +142,13 @@ def _killed(
 
 
 def _until(fits: Path, count: int, running: "subprocess.Popen[str]") -> None:
-    """Wait until so many fits are done, or the process has ended."""
+    """Wait until `count` fits are complete, or the process has ended."""
     while running.poll() is None and len(list(fits.glob("*.json"))) < count:
         time.sleep(0.05)
 
 
 def _kill_a_worker(fits: Path) -> bool:
-    """Kill the process that wrote the newest file."""
+    """Kill the process that wrote the newest file; return whether it existed."""
     newest = max(fits.glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
     worker = json.loads(newest.read_text(encoding="utf-8"))["worker"]
     with contextlib.suppress(ProcessLookupError):
@@ -164,7 +164,7 @@ def _end(running: "subprocess.Popen[str]") -> None:
 
 
 def _table(folder: Path) -> Any:
-    """The table without what differs from run to run: how long, and by whom."""
+    """Return the table without the columns that differ between runs: duration and worker."""
     import polars as pl
 
     return pl.read_parquet(folder / "sweep.parquet").drop("seconds", "worker")
@@ -172,7 +172,7 @@ def _table(folder: Path) -> Any:
 
 @contextlib.contextmanager
 def _cluster(folder: Path) -> Iterator[str]:
-    """The address of a local cluster of two processes."""
+    """Start a local cluster of two processes, and yield its address."""
     script = folder / "cluster.py"
     script.write_text(CLUSTER, encoding="utf-8")
     running = subprocess.Popen(
@@ -191,7 +191,7 @@ def _cluster(folder: Path) -> Iterator[str]:
 
 
 def _speed(folder: Path, count: int) -> Figures:
-    """Time of the same fits by one worker and by two, in turn, with all that is compiled."""
+    """Measure the time of the same compiled fits with one worker and with two, in turn."""
     from giajax.runtime.execution import Processes, run_tasks
     from giajax.tasks import Plan
 
@@ -219,7 +219,7 @@ def _speed(folder: Path, count: int) -> Figures:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Fits that are lost, done twice or other ones: none is by chance. How fast, is."""
+    """Report lost, repeated or different fits, which do not occur by chance, unlike the speed."""
     if stored.keys() != new.keys():
         return ["the cases differ from the stored cases: run the study again"]
     return [
@@ -232,16 +232,16 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def _is_as_serial(each: Figures) -> bool:
-    """Whether all fits are there once, and none failed.
+    """Return whether all fits occur once, without failures, as in a serial run.
 
-    How often one is killed in time is by chance in a small run.
+    The number of effective kills is not compared, because it is random in a small run.
     """
     wrong = each["lost"] or each["done_twice"] or each["failed"]
     return not wrong and each["rows"] == each["fits"] and bool(each["identical_to_serial"])
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each kind of workers, and a sentence on speed."""
+    """Return a table with a row for each kind of workers, and a sentence on speed."""
     rows = [
         "| workers | fits | kills of the command | killed workers | lost fits | fits computed "
         "twice | same table as a serial sweep |",
@@ -260,19 +260,19 @@ def table(figures: Figures) -> list[str]:
 
 
 def run_speed(size: int, seed: int) -> Figures:
-    """How much faster two workers do `size` fits than one."""
+    """Return the speed of two workers relative to one for `size` fits."""
     with tempfile.TemporaryDirectory() as folder:
         _write_plan(Path(folder), size, seed)
         return _speed(Path(folder), size)
 
 
 def speed_disagreements(stored: Figures, new: Figures) -> list[str]:
-    """None: how fast a machine is depends on what else it does."""
+    """Report nothing, because the speed of a machine depends on its load."""
     return []
 
 
 def speed_table(figures: Figures) -> list[str]:
-    """A sentence."""
+    """Return a sentence on the speed."""
     return [_in_words(figures)]
 
 

@@ -1,9 +1,9 @@
-"""Tracking: how well states are known of arms that are drawn, in gusts that nobody recorded.
+"""Tracking: accuracy of estimated states of sampled arms in unrecorded gusts.
 
-An arm in full air has stiffness and drag drawn, some have joints that remember, and it stands in a
-wind of 0.2 m/s with gusts that differ from link to link. Its base joint is commanded; a camera sees
-the tip half a second late, and an encoder the base joint. The tracker has the nominal arm, and
-considers that stiffness and drag are as uncertain as they were drawn.
+The stiffness and drag of an arm in full air are sampled. Some arms have joints with memory. The
+wind is 0.2 m/s with gusts that differ between links. The base joint is commanded. A camera records
+the tip with a delay of half a second, and an encoder the base joint. The tracker uses the nominal
+arm, with stiffness and drag as consider parameters with their true uncertainty.
 """
 
 import dataclasses
@@ -20,16 +20,17 @@ MEAN, INTENSITY, LENGTH_SCALE = (0.0, 0.2, 0.0), 0.3, 5.0
 NOISE = {"tip_x": 0.02, "tip_y": 0.02, "tip_z": 0.02, "joint01_angle": 0.005}
 DELAY, WRONG = 0.5, 0.2  # s
 SETTLED, LASTS, INTERVAL = 200.0, 130.0, 0.1  # s
-LATE = 120.0  # s, from when the wind is to be known
-# What is to be reached.
+LATE = 120.0  # s, time from which the wind must be known
+# Requirements.
 NEES, COVERED = (0.7, 1.3), (0.90, 0.98)
 TIP, WIND = 0.10, 0.05  # m, m/s
 
 
 def run(size: int, seed: int, links: int = LINKS) -> Figures:
-    """Figures of `size` arms.
+    """Return the figures of `size` arms.
 
-    Every fourth one remembers; of every third of four the delay and the air are also wrong.
+    Every fourth arm has joints with memory. For the third of every four arms, a wrong delay and a
+    tracker without wind are also tried.
     """
     import jax
 
@@ -39,7 +40,7 @@ def run(size: int, seed: int, links: int = LINKS) -> Figures:
 
 
 def part(size: int, seed: int) -> Figures:
-    """Of short arms."""
+    """Return the figures of short arms."""
     return run(size, seed, 6)
 
 
@@ -69,7 +70,7 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
     )
     found = track(model, run_of_it, unknown=unknown)
     facts: dict[str, Any] = {"memory": memory is not None, **_errors(found, truth)}
-    tried = number % 4 == 2  # ten minutes
+    tried = number % 4 == 2  # takes ten minutes
     facts["right"] = judge(model, found, look=tried).adequate
     if not tried:
         return facts
@@ -86,7 +87,7 @@ def _arm(number: int, seed: int, links: int) -> dict[str, Any]:
 
 
 def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[str, np.ndarray]]:
-    """A run of the arm, and its true angles, rates, tip and mean wind at the exposures."""
+    """Return a run of the arm, and its true angles, rates, tip and mean wind at the exposures."""
     from giajax import Run, simulate
     from giajax.simulation import logged, ramps
 
@@ -98,7 +99,7 @@ def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[
     command = ramps(begins, rows)
     stamps = INTERVAL * np.arange(round(LASTS / INTERVAL) + 1)
     exposures = stamps - DELAY
-    # The encoder is at once: both times.
+    # The encoder has no delay, so the motion is computed at exposures and at time stamps.
     times = np.unique(np.concatenate([[-SETTLED], exposures, stamps]).round(9))
     moved = simulate(arm, command, times, wind=logged(blown, table))
     at_exposures = np.searchsorted(times, exposures.round(9))
@@ -121,7 +122,7 @@ def recorded(arm: Any, rng: np.random.Generator, links: int) -> tuple[Any, dict[
 
 
 def wind_at_links(arm: Any, rng: np.random.Generator, lasts: float) -> tuple[Any, np.ndarray]:
-    """Times from when an arm begins to settle, s, and the wind of each link then, m/s."""
+    """Return times, starting when the arm begins to settle, s, and the wind of each link, m/s."""
     import jax.numpy as jnp
 
     from giajax import gusts
@@ -185,8 +186,8 @@ def _value(arm: Any, path: str) -> Any:
 
 
 def disagreements(stored: Figures, new: Figures) -> list[str]:
-    """Arms whose tip is not known, or whose deviations are wrong by a factor."""
-    del stored  # the limits are for every arm
+    """Report arms with a large error of the tip, or wrong standard deviations."""
+    del stored  # the limits apply to every arm
     sentences = []
     for number, arm in enumerate(new["arms"]):
         if not arm["tip_m"] < TIP:
@@ -201,7 +202,7 @@ def disagreements(stored: Figures, new: Figures) -> list[str]:
 
 
 def table(figures: Figures) -> list[str]:
-    """A row for each arm."""
+    """Return a table with a row for each arm."""
     heads = [
         "arm",
         "NEES per state",
@@ -237,10 +238,11 @@ def table(figures: Figures) -> list[str]:
     return [
         *rows,
         "",
-        "Stiffness is sampled with a standard deviation of 5 % and C_D with 10 %; the filter "
-        "assumes the same uncertainties. Errors of the tip are root mean squares over 130 s. The "
-        "real-time estimate is the prediction of the present state, half a second after the last "
-        "exposure. The wind is the mean over the links, from 120 s on.",
+        "The stiffness is sampled with a standard deviation of 5 %, and C_D is sampled with a "
+        "standard deviation of 10 %. The filter assumes the same uncertainties. Errors of the tip "
+        "are root mean squares over 130 s. The real-time estimate is the prediction of the current "
+        "state, half a second after the last exposure. The error of the crosswind is the error of "
+        "the mean over the links, from 120 s on.",
     ]
 
 

@@ -1,4 +1,4 @@
-"""A headless Chromium that a test drives: by its DevTools protocol, over a WebSocket."""
+"""A headless Chromium that a test controls by the DevTools protocol over a WebSocket."""
 
 import base64
 import itertools
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from websockets.sync.client import connect
 
-# What viser and Chromium say of themselves.
+# Console messages of viser and Chromium that are not errors.
 NO_COMPLAINTS = (
     "Detected chrome version",
     "WebGL support",
@@ -32,7 +32,7 @@ class Page:
             self.call(f"{domain}.enable")
 
     def call(self, method, **parameters):
-        """One call of the protocol, and its result; what the page says meanwhile is kept."""
+        """Send one command of the protocol and return its result; keep events that arrive."""
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
@@ -54,7 +54,7 @@ class Page:
 
     @property
     def complaints(self):
-        """Errors and warnings of the console."""
+        """Return errors and warnings of the console."""
         self.evaluate("0")
         return [
             (level, words)
@@ -64,11 +64,11 @@ class Page:
         ]
 
     def open(self, address):
-        """Go there."""
+        """Open an address."""
         self.call("Page.navigate", url=address)
 
     def evaluate(self, script):
-        """The value of an expression, of a promise as well."""
+        """Return the value of an expression, or of a promise."""
         found = self.call(
             "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
         )
@@ -76,9 +76,9 @@ class Page:
         return found["result"].get("value")
 
     def wait(self, script, seconds=30.0):
-        """Until an expression is true; its value."""
+        """Wait until an expression is true, and return its value."""
         end = time.monotonic() + seconds
-        # While a page is loaded, much of it is not there yet.
+        # While a page is loading, objects may be missing.
         within = f"(() => {{ try {{ return {script}; }} catch {{ return false; }} }})()"
         while not (value := self.evaluate(within)):
             assert time.monotonic() < end, f"not within {seconds} s: {script}"
@@ -86,14 +86,14 @@ class Page:
         return value
 
     def picture(self, path):
-        """Save what is seen."""
+        """Save a screenshot."""
         data = self.call("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(data))
 
 
 @contextmanager
 def opened(browser, folder, *, size=(1400, 900), more=()):
-    """A browser with an empty page, started with more options."""
+    """Start a browser with an empty page and further options."""
     options = ["--headless=new", "--no-sandbox", "--use-angle=swiftshader"]
     options += ["--enable-unsafe-swiftshader", "--hide-scrollbars", "--remote-debugging-port=0"]
     options += [f"--user-data-dir={folder}", f"--window-size={size[0]},{size[1]}"]
@@ -107,7 +107,7 @@ def opened(browser, folder, *, size=(1400, 900), more=()):
                 port = int(found[1])
                 break
         assert port is not None, "no browser"
-        # Nobody reads what it says from here on.
+        # Nothing reads its error output from here on.
         process.stderr.close()
         with connect(_page_of(port), max_size=None, compression=None) as socket:
             yield Page(socket)

@@ -1,7 +1,7 @@
-"""One session, one precision: float64, strict promotion, every warning an error.
+"""Settings of all tests: float64, strict promotion, and every warning is an error.
 
-And the tiers: tests marked `quick` compile nothing (`make check`), tests marked `slow` are left out
-of `make test`, and those marked `long` of `make test-all`, too; both say so at their end.
+The tests have tiers. Tests marked `quick` compile nothing (`make check`), `make test` omits tests
+marked `slow`, and `make test-all` omits tests marked `long`. Both report this at their end.
 """
 
 import contextlib
@@ -16,15 +16,15 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree import ElementTree
 
-# A check that raises in a compiled program calls back into Python, and JAX keeps no such program:
-# each process would compile it again, and the largest have checks. As in the command, a failed
-# check becomes a NaN instead (`simulation/raising.py` is run where it raises). Equinox reads this
-# when it is imported.
+# A check that raises in a compiled program calls back into Python, and JAX does not cache such
+# programs, so each process would compile them again, including the largest ones. As in the command,
+# a failed check therefore gives a NaN (`simulation/raising.py` tests raising). Equinox reads the
+# variable when it is imported.
 os.environ.setdefault("EQX_ON_ERROR", "nan")
 
-# Programs that the tests compile by themselves get the options that `giajax.program` sets: half
-# of the time of compiling; and the compiler optimises less, because most programs of a test run
-# once. XLA ends the process at a name that it does not know, and names change with its versions.
+# Programs that the tests compile get the options that `giajax.program` sets, which halves the
+# compilation time. The compiler also optimises less, because most programs in a test run only once.
+# XLA ends the process if an option is unknown, and the options depend on its version.
 if version("jaxlib").startswith("0.10."):
     from giajax.runtime.programs import CPU_OPTIONS
 
@@ -47,24 +47,24 @@ ROOT = Path(__file__).resolve().parents[1]
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-# Compiling is most of the time of these tests: keep what was compiled for the next session.
-# By way of the environment it is shared with the processes that the tests start.
+# Most of the time of these tests is compilation, so compiled programs are kept for later sessions.
+# The environment variable shares them with the processes that the tests start.
 CACHE = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(ROOT / ".jax_cache"))
 LEAST = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 jax.config.update("jax_compilation_cache_dir", CACHE)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", float(LEAST))
 
-# A process of the command keeps no program whose result no text describes: it traces it each time,
-# and nobody sees. So the results of all programs of the tests are described.
+# The command caches a program only if a text can describe its result. Otherwise, each process
+# traces the program again, which is easily overlooked. The tests therefore describe all results.
 
 
 def as_shape(leaf):
-    """Of an array that of JAX, which a program returns."""
+    """Return the JAX shape of an array, as a program returns it."""
     return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) if eqx.is_array(leaf) else leaf
 
 
 def describing(function):
-    """As `giajax.runtime.programs.program`; refuses a result that no text describes."""
+    """Wrap `giajax.runtime.programs.program`, and refuse results that a text cannot describe."""
     call = program(function)
     seen = set()
 
@@ -76,7 +76,7 @@ def describing(function):
             return result
         try:
             key = structure((args, kwargs))
-        except NoStructureError:  # not kept, and said nowhere: a test may have such arguments
+        except NoStructureError:  # not cached, which is fine for arguments that only a test uses
             return result
         if key not in seen:
             seen.add(key)
@@ -91,8 +91,8 @@ def describing(function):
 
 giajax.runtime.programs.program = describing
 
-# Every compiled program maps memory, and a process may have 65,530 maps: beyond them the compiler
-# dies, after a thousand tests.
+# Every compiled program maps memory. A process may have 65,530 maps, which are used up after a
+# thousand tests, and the compiler would then crash.
 MAPS = Path("/proc/self/maps")
 MOST_MAPS = 12_000
 
@@ -102,7 +102,7 @@ programs = 0
 
 
 def count_programs(event, duration, **_):
-    """A listener of JAX: one more program was compiled, or read from the cache."""
+    """JAX listener: count a program that is compiled or read from the cache."""
     global programs
     programs += event == COMPILING
 
@@ -112,13 +112,13 @@ jax.monitoring.register_event_duration_secs_listener(count_programs)
 
 @pytest.fixture
 def compiled():
-    """A function that says how many programs this process has compiled so far."""
+    """Return a function that returns the number of programs compiled by this process so far."""
     return lambda: programs
 
 
 @pytest.fixture
 def own_kinds():
-    """Kinds that a test registers are gone after it."""
+    """Remove the kinds that a test registers."""
     from giajax.recordings import Definition
     from giajax.schema import KINDS, add_kind
 
@@ -134,7 +134,7 @@ def own_kinds():
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    """A test that says that it is quick compiles nothing, however fast the machine."""
+    """Check that a test marked `quick` compiles nothing, even on a fast machine."""
     before = programs
     outcome = yield
     compiled = programs - before
@@ -143,30 +143,30 @@ def pytest_runtest_call(item):
     return outcome
 
 
-# All tests of such a file have the same programs, which take a minute to compile. A worker that has
-# nothing left takes tests from the end of another's list: what begins a list stays together.
+# All tests of these files share programs that take a minute to compile. An idle worker takes tests
+# from the end of another worker's list, so tests at the start of a list stay on one worker.
 FIRST = ("test_arm_suspects.py",)
 
 
 def pytest_collection_modifyitems(items):
-    """What should be run by one worker comes first."""
+    """Move tests that one worker should run to the start."""
     items.sort(key=lambda item: item.path.name not in FIRST)
 
 
 def pytest_collection_finish():
-    """What is imported stays: the collector does not look through it again at each pass."""
+    """Freeze imported objects, so the garbage collector does not scan them in each pass."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
 
 
 LEFT_OUT = pytest.StashKey[dict[str, int]]()
-# Of each mark, what runs its tests.
+# Command that runs the tests of each mark.
 RUN_BY = {"slow": "make test-all", "long": "make test-long"}
 
 
 def pytest_deselected(items):
-    """Count what `make test` leaves out; `pytest -k` and `make check` leave out more."""
+    """Count the tests that `make test` omits; `pytest -k` and `make check` omit more."""
     if not items or (config := items[0].config).option.markexpr != "not slow and not long":
         return
     counts = config.stash.setdefault(LEFT_OUT, dict.fromkeys(RUN_BY, 0))
@@ -175,19 +175,19 @@ def pytest_deselected(items):
 
 
 def pytest_sessionfinish(session):
-    """Workers select the tests, and tell the process that reports: each the same number."""
+    """Report the number of omitted tests from each worker, which is the same for all."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, {})
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
-    """A worker of pytest-xdist has ended."""
+    """Receive the number from a worker of pytest-xdist that has ended."""
     node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left_out", {})
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    """What was left out is said, so that nobody takes a part for the whole."""
+    """Print which tests were omitted."""
     for mark, number in config.stash.get(LEFT_OUT, {}).items():
         if number:
             terminalreporter.write_sep("-", f"{number} {mark} tests left out: {RUN_BY[mark]}")
@@ -195,7 +195,7 @@ def pytest_terminal_summary(terminalreporter, config):
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs_at_a_time():
-    """Forget the compiled programs of a long session, which the cache on disk keeps."""
+    """Clear the compiled programs of a long session; the disk cache keeps them."""
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MOST_MAPS:
         jax.clear_caches()
@@ -204,7 +204,7 @@ def few_programs_at_a_time():
 
 @pytest.fixture(autouse=True, scope="session")
 def every_picture_in_all_formats():
-    """What is drawn as PNG is drawn as SVG and PDF, too: a picture of each title, once."""
+    """Save each figure that a test draws as PNG as SVG and PDF, too, once per title."""
     from matplotlib.figure import Figure
 
     from giajax.report import to_png
@@ -227,7 +227,7 @@ def every_picture_in_all_formats():
 
 
 def check_pictures(others):
-    """An SVG file whose text is text, and a PDF file of one page without fonts of Type 3."""
+    """Check that an SVG contains text as text, and a PDF one page without Type 3 fonts."""
     svg, pdf = others["svg"], others["pdf"]
     root = ElementTree.fromstring(svg)
     assert root.tag.endswith("}svg")
@@ -240,7 +240,7 @@ def check_pictures(others):
 
 @pytest.fixture(scope="session")
 def browser():
-    """A browser; a test that asks for it is skipped where there is none."""
+    """Return a browser, or skip the test if there is none."""
     from docs.machinery import browse
 
     found = browse.installed()
@@ -251,9 +251,9 @@ def browser():
 
 @pytest.fixture(scope="session")
 def arm_fit(tmp_path_factory):
-    """The recording of a short arm, the folder of its fit by the command, and how that ended.
+    """The recording of a short arm, the folder of its fit by the command, and the outcome.
 
-    Copy the folder before anything else is written into it.
+    Copy the folder before anything else is written to it.
     """
     from giajax.cli import main
     from small_arm import STARTS, make_run
@@ -268,9 +268,9 @@ def arm_fit(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def muscle_fit(tmp_path_factory):
-    """The folder of a muscle's fit with its page, by the command; its recording lies beside it.
+    """The folder of a muscle's fit with its page, by the command, next to its recording.
 
-    Copy it before anything is written into it.
+    Copy the folder before anything else is written to it.
     """
     from giajax.cli import main
 

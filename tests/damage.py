@@ -1,4 +1,4 @@
-"""Plain data with one thing wrong, for the tests of what reads stored files."""
+"""Plain data with one defect, for the tests of readers of stored files."""
 
 import copy
 import random
@@ -7,7 +7,7 @@ WRONG = (None, True, -3, 1e300, "x", "", [], {}, [1], ["a"], {"a": 1}, [[None]])
 
 
 def places(data, path=()):
-    """Paths to everything in nested objects and lists; of a list to its first two entries."""
+    """Return the paths to all values in nested objects and lists, for lists to the first two."""
     yield path
     if isinstance(data, dict):
         for key, value in data.items():
@@ -18,7 +18,7 @@ def places(data, path=()):
 
 
 def damages(data, seed):
-    """For each place, what is wrong there in words, and the data with that."""
+    """Yield, for each place, a description of the defect and the damaged data."""
     chance = random.Random(seed)
     for path in places(data):
         damaged = copy.deepcopy(data)

@@ -1,4 +1,4 @@
-"""The TCP ports at which this process listens."""
+"""The TCP ports on which this process listens."""
 
 import os
 from contextlib import suppress
@@ -10,7 +10,7 @@ _LISTENS = "0A"
 
 
 def open_ports():
-    """Their numbers; where the system does not say them, the test is skipped."""
+    """Return their numbers, or skip the test if the system does not provide them."""
     if not Path("/proc/self/net/tcp").exists():
         pytest.skip("this system has no /proc/self/net")
     own = set()

@@ -1,4 +1,4 @@
-"""A page as a browser would read it: its elements, and what would be loaded from elsewhere."""
+"""A page as a browser would read it: its elements, and everything that it would load."""
 
 import re
 from html.parser import HTMLParser
@@ -39,17 +39,17 @@ class Page(HTMLParser):
                 self.rows[-1][-1] += data
 
     def data(self, identifier):
-        """The text of the script of data with this name."""
+        """Return the text of the data script with this name."""
         (text,) = [text for found, text in self.scripts if found.get("id") == identifier]
         return text
 
     def programs(self):
-        """Scripts that are run."""
+        """Return the scripts that are executed."""
         return [text for found, text in self.scripts if "type" not in found]
 
 
 def loaded_from_elsewhere(page):
-    """What elements and styles of a page would load."""
+    """Return everything that elements and styles of a page would load."""
     parsed = Page(page)
     named = [
         value

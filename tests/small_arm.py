@@ -1,4 +1,4 @@
-"""A short run of a short arm, made by the model: quick to fit, and the truth is known."""
+"""A short run of a short arm, simulated by the model: quick to fit, with known true values."""
 
 import functools
 
@@ -32,13 +32,13 @@ COMMANDS = {"joint01_command": 0.6 * RAMP, "joint02_command": -0.5 * RAMP}
 DEFINITION = {
     "arm": {"links": LINKS},
     "noise": {"position_m": NOISE},
-    "uncertainty": {"defaults": False},  # a model is exact
+    "uncertainty": {"defaults": False},  # the simulated recording is exact
 }
 
 
 @functools.cache
 def predicted(channels):
-    """What the true arm does, once a session."""
+    """Simulate the true arm, once per session."""
     model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
     dummy = {channels[0]: np.zeros_like(TIMES)}
     return predict(
@@ -49,7 +49,7 @@ def predicted(channels):
 def make_run(
     folder, name="run", *, seed=0, channels=("link02_y", "link04_y", "link04_z"), **written
 ):
-    """Write NAME.csv and its sidecar: noise 0.01 m, a gap in every channel; returns its path."""
+    """Write NAME.csv and its sidecar (noise 0.01 m, a gap per channel), and return its path."""
     noise, recorded = np.random.default_rng(seed), {}
     for channel, values in predicted(tuple(channels)).items():
         recorded[channel] = values + NOISE * noise.normal(size=41)
@@ -59,5 +59,5 @@ def make_run(
 
 
 def small_run(folder, name="run", **options):
-    """The same, read."""
+    """Write such a run and read it."""
     return read_run(make_run(folder, name, **options))

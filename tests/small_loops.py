@@ -1,4 +1,4 @@
-"""Short loops of a play beside a spring: quick to fit, also by a process of its own."""
+"""Short loops of a play in parallel with a spring: quick to fit, also in a separate process."""
 
 import itertools
 
@@ -22,7 +22,7 @@ offset = 0.1
 
 
 def write_loops(path, turns, seed):
-    """A play of threshold 0.2 beside a spring: 0.5 u + 0.8 play(u) + 0.1, with noise."""
+    """Write a play of threshold 0.2 and a spring: 0.5 u + 0.8 play(u) + 0.1, with noise."""
     inputs = np.concatenate([np.linspace(a, b, 12)[1:] for a, b in itertools.pairwise(turns)])
     play, outputs = 0.0, []
     for value in inputs:
@@ -34,7 +34,7 @@ def write_loops(path, turns, seed):
 
 
 def write_task(folder):
-    """Write `loops_fit.toml` with its two runs; returns its path."""
+    """Write `loops_fit.toml` with its two runs, and return its path."""
     write_loops(folder / "loops.csv", (0, 1, -0.8, 0.7, -0.4, 0.5), seed=4)
     write_loops(folder / "other.csv", (0, -0.9, 0.9, -0.2, 0.6), seed=5)
     (folder / "loops_fit.toml").write_text(DEFINITION)

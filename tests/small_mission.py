@@ -1,4 +1,4 @@
-"""A mission of a short arm, whose tip is brought in within half a minute: quick to compile."""
+"""A mission of a short arm that brings its tip in within half a minute: quick to compile."""
 
 import functools
 import tomllib
@@ -47,12 +47,12 @@ approach = {joints = [1, 3, 5, 7], angles_deg = [-8.0, -13.0, -32.0, -55.0]}
 
 
 def small_mission(controller: str = "mpc", **changes: object) -> Mission:
-    """With other values of its file: `mission__limit_s=20.0`."""
+    """Return the mission with other values of its file, e.g. `mission__limit_s=20.0`."""
     return mission_of(FILE, controller, changes)
 
 
 def mission_of(text: str, controller: str, changes: dict[str, object]) -> Mission:
-    """The mission of a file, with other values of it."""
+    """Return the mission of a file, with other values."""
     data = tomllib.loads(text)
     for path, value in changes.items():
         *sections, key = path.split("__")

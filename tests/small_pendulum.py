@@ -1,7 +1,7 @@
-"""A pendulum with Coulomb friction, the drag of the air and damping, by fixed steps: quick to fit.
+"""A pendulum with Coulomb friction, aerodynamic drag and damping, in fixed steps: quick to fit.
 
-Its fit has what makes real ones crawl: valleys that bend, a parameter whose optimum is zero, one
-that only counts together with another, and an initial state for each window.
+Its fit has the difficulties of real ones: curved valleys, a parameter with an optimum of zero, one
+that has an effect only together with another, and an initial state for each window.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class Inputs(eqx.Module):
 
 
 class Pendulum(Plain):
-    """joint01_angle of a rod in the air; only drag times length^4 counts."""
+    """joint01_angle of a rod in air, which depends only on drag times length^4."""
 
     kind: ClassVar[str] = "arm"
 
@@ -86,7 +86,7 @@ class Pendulum(Plain):
 
 
 def swing(*, seconds: float = 120.0, window: float = 3.0, seed: int = 3) -> list[Run]:
-    """Windows of a recording at 25 Hz of the truth without damping, 1 ms of jitter in its clock."""
+    """Simulate windows of a recording at 25 Hz without damping, with 1 ms of clock jitter."""
     rng = np.random.default_rng(seed)
     times = np.linspace(0.0, seconds, int(25 * seconds) + 1)
     seen = times + np.where(times > 0, rng.normal(scale=1e-3, size=len(times)), 0)
@@ -105,6 +105,6 @@ def swing(*, seconds: float = 120.0, window: float = 3.0, seed: int = 3) -> list
 
 
 def start(corner: Sequence[int]) -> dict[str, float]:
-    """A start that is off by the whole of `OFF`, up or down; the damping is no number to divide."""
+    """Return an initial guess that is off by all of `OFF`; the damping is not scaled."""
     off = {p: TRUTH[p] * OFF[p] ** up for p, up in zip(TRUTH, corner, strict=True)}
     return {**off, "damping": 0.01}

@@ -1,4 +1,4 @@
-"""The page about the air says what its script measures."""
+"""The page about the air agrees with the results of its script."""
 
 import importlib.util
 from pathlib import Path
@@ -16,7 +16,7 @@ def script():
 
 
 def written():
-    """The cells of each row of the table, by what was fitted."""
+    """Return the cells of each table row, by the fitted model."""
     bias = script()
     text = (FOLDER / "air.md").read_text().partition(bias.BEGIN)[2].partition(bias.END)[0]
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line]
@@ -31,7 +31,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
         value, error = float(cells[2]), float(cells[3])
         stated = float(cells[4].removesuffix("%"))
         assert stated == pytest.approx(100 * (value / truth - 1), abs=0.1)
-        # Only a model of all that is there finds the truth.
+        # Only a model with all effects finds the true value.
         assert (abs(value - truth) < 3 * error) == name.startswith(("what made it",)) or (
             "without the wind" in name
         )

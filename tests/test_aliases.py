@@ -1,4 +1,4 @@
-"""Names of earlier versions: they work, say what to write instead, and stand on a page."""
+"""Former names still work, name their replacement, and are listed on a page."""
 
 import importlib
 import subprocess
@@ -41,7 +41,7 @@ def test_a_module_that_has_moved_warns_and_has_its_names(name, monkeypatch):
 def test_it_is_found_as_an_attribute_and_by_its_names(monkeypatch):
     for name in ("study", "runs"):
         monkeypatch.delitem(sys.modules, f"giajax.{name}", raising=False)
-        # Without a look at the attribute, which would import it.
+        # Without accessing the attribute, which would import it.
         monkeypatch.delitem(vars(giajax), name, raising=False)
     with pytest.warns(DeprecationWarning, match=r"giajax\.study is now giajax\.studies"):
         assert giajax.study.profile is giajax.profile
@@ -54,7 +54,7 @@ def test_it_is_found_as_an_attribute_and_by_its_names(monkeypatch):
 @pytest.mark.parametrize("room", RENAMED)
 def test_a_name_that_has_moved_or_changed_warns(room):
     with warnings.catch_warnings():
-        # Of a module that has moved itself.
+        # The module of the name has moved, too.
         warnings.simplefilter("ignore", DeprecationWarning)
         module = importlib.import_module(f"giajax.{room}".rstrip("."))
     for before, now in RENAMED[room].items():

@@ -1,4 +1,4 @@
-"""What docs/architecture.md says of the source is so: its examples are done to a copy, and run."""
+"""Statements of docs/architecture.md hold: its examples are applied to a copy, and run."""
 
 import csv
 import os
@@ -18,18 +18,18 @@ COMMAND = "import sys; from giajax.cli import main; sys.exit(main())"
 
 
 def section(heading):
-    """The text of a section, without its heading."""
+    """Return the text of a section without its heading."""
     (text,) = re.findall(rf"^## {heading}\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE)
     return text
 
 
 def blocks(text):
-    """The blocks of code, in order: language and contents."""
+    """Return the code blocks in order: language and contents."""
     return re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
 def changed(text, diff):
-    """A text with the hunks of a diff: context, removed and added lines, without numbers."""
+    """Apply the hunks of a diff to a text: context, removed and added lines, without numbers."""
     for hunk in diff.split("@@\n"):
         lines = hunk.splitlines(keepends=True)
         assert lines, "a hunk is empty"
@@ -42,7 +42,7 @@ def changed(text, diff):
 
 
 def done_to(tree, text):
-    """Do to a copy of the project what a section says; returns new files and changed ones."""
+    """Apply the changes of a section to a copy of the project; return new and changed files."""
     new, edited = [], []
     for language, block in blocks(text):
         marked = re.match(r"# (new|in): (\S+)\n", block)
@@ -63,7 +63,7 @@ def done_to(tree, text):
 
 @pytest.fixture
 def tree(tmp_path):
-    """A copy of the project's source."""
+    """Return a copy of the project's source."""
     shutil.copytree(
         ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "_examples")
     )
@@ -73,7 +73,7 @@ def tree(tmp_path):
 
 @pytest.fixture
 def giajax(tree):
-    """Runs a command line of the copy, in its folder; returns what it prints."""
+    """Return a function that runs a command line of the copy in its folder, and its output."""
 
     def run(*arguments, code=COMMAND):
         environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
@@ -93,7 +93,7 @@ def giajax(tree):
 
 
 def printed(giajax, text):
-    """What the commands of a section print, in order; `$ giajax ...` of its console blocks."""
+    """Return the output of the commands of a section: `$ giajax ...` in its console blocks."""
     lines = [block for language, block in blocks(text) if language == "console"]
     commands = re.findall(r"^\$ giajax (.*)$", "".join(lines), re.MULTILINE)
     assert commands
@@ -101,13 +101,13 @@ def printed(giajax, text):
 
 
 def write_table(text, path):
-    """The CSV file that a section shows."""
+    """Write the CSV file that a section shows."""
     (table,) = [block for language, block in blocks(text) if not language and "," in block]
     path.write_text(table, encoding="utf-8")
 
 
 def check_style(tree, paths):
-    """The new and the changed are as the project's own style has it."""
+    """Check that new and changed files conform to the style of the project."""
     ruff = shutil.which("ruff", path=str(Path(sys.executable).parent)) or shutil.which("ruff")
     if ruff is None:
         return
@@ -131,17 +131,17 @@ def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     init, fit = printed(giajax, text)
     assert "wrote leak.toml" in init
     assert "first_fullness" in (tree / "leak.toml").read_text(encoding="utf-8")
-    # By hand: the slope of ln(fullness) over the time is about -1 / 6330 s.
+    # By hand: the slope of ln(fullness) over time is about -1 / 6330 s.
     (value,) = re.findall(r"^leak_time +([0-9.]+)", fit, re.MULTILINE)
     assert 6000 < float(value) < 6700
     assert (tree / "leak" / "result.json").exists()
-    # A prediction is a run again, and its model is built from the result.
+    # A prediction is a run, and its model is built from the result.
     again = giajax("fit", "--data", "leak/prediction.csv", "--out", "again")
     assert re.search(r"^leak_time +[0-9.]+", again, re.MULTILINE)
 
 
 def heights(path):
-    """Heights of the second link in a run, m."""
+    """Return the heights of the second link in a run, m."""
     with path.open(newline="", encoding="utf-8") as file:
         return [float(row["link02_z_m"]) for row in csv.DictReader(file)]
 
@@ -159,7 +159,7 @@ def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     *_, parameters = printed(giajax, text)
     assert re.search(r"^joints.quadratic_damping .* N m s\^2/rad\^2 ", parameters, re.MULTILINE)
     sidecar = (tree / "damped.toml").read_text(encoding="utf-8")
-    assert "damping of a joint by the square of its rate" in sidecar
+    assert "damping of a joint proportional to the square of its rate" in sidecar
     damped, plain = (heights(tree / name) for name in ("damped.csv", "plain.csv"))
     assert 0.1 < max(damped) < 0.9 * max(plain)
 
@@ -218,6 +218,6 @@ def test_the_rooms_are_those_of_the_source_in_their_order():
 
 @pytest.mark.quick
 def test_no_room_but_models_asks_which_model_it_has():
-    """What the page says at its top, which a test of the structure is of."""
+    """The page states this at its top, and a test of the structure checks it."""
     assert "Only the room `models` depends on the class of a model." in " ".join(PAGE.split())
     assert callable(nobody_asks)

@@ -1,4 +1,4 @@
-"""The benchmark runs, compares what it says it compares, and writes what it shows."""
+"""The benchmarks run, compare what they claim to compare, and write what they show."""
 
 import json
 import re
@@ -12,9 +12,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def benchmark(name, *options):
-    """Run a benchmark as its users do, in the root of the project; returns what it prints.
+    """Run a benchmark in the root of the project, as users do, and return its output.
 
-    Status 1 says that a limit is not held: that is for `make bench` on an idle machine.
+    Status 1 means that a limit is exceeded, which matters only for `make bench` on an idle machine.
     """
     command = [sys.executable, "-m", f"benchmarks.{name}", *map(str, options)]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
@@ -31,17 +31,17 @@ def test_the_benchmark_runs(tmp_path):
     assert set(found["chosen"]) == set(found["run"]) >= set(found["gradient"])
     if absent := found["absent"]:
         assert all(f"{name} is left out: {why}"[:60] in printed for name, why in absent.items())
-        # Anything else is a peer that does not work.
+        # Any other reason means that a peer is broken.
         assert all("no C compiler is there" in why or "casadi" in why for why in absent.values())
         pytest.skip(str(absent))
     for name, chosen in found["chosen"].items():
         assert chosen["error"] < found["problem"]["tip_accuracy_m"], name
-    # Four ways to the same derivatives.
+    # The derivatives are computed in at least four ways.
     assert len(found["gradient"]) >= 4
     for name, gradient in found["gradient"].items():
         assert gradient["error"] < 0.05, name
     assert all(ratio > 0 for ratio in found["ratios"].values())
-    # Three optimisers over two simulations, and one optimum.
+    # Three optimisers with two simulations must find one optimum.
     assert len(found["fits"]) == 3
     for name, each in found["fits"].items():
         assert each["standard_errors_off"] < 0.01, name
@@ -53,7 +53,7 @@ def test_the_benchmark_runs(tmp_path):
 
 
 def history(path, ratios, **problem):
-    """A line of the history, and of what `make bench` writes."""
+    """Append a line to the history, and write the output of `make bench`."""
     each = {"commit": "before", "problem": {"links": 20} | problem, "ratios": ratios}
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(each) + "\n")
@@ -63,7 +63,7 @@ def history(path, ratios, **problem):
 @pytest.mark.quick
 @pytest.mark.parametrize(("fall", "status"), [(0.21, 1), (0.19, 0), (-0.5, 0)])
 def test_a_ratio_that_fell_by_a_fifth_fails(tmp_path, fall, status):
-    """Against the last line for the same problem; a ratio that is not stored is new."""
+    """Compared with the last line for the same problem; a ratio that is not stored is new."""
     stored = history(tmp_path / "history.jsonl", {"run": 9.0, "fit": 9.0})
     history(stored, {"run": 2.0, "fit": 4.0})
     history(stored, {"run": 90.0}, links=3)
@@ -80,7 +80,7 @@ def test_a_ratio_that_fell_by_a_fifth_fails(tmp_path, fall, status):
 @pytest.mark.quick
 @pytest.mark.parametrize(("ratios", "said"), [({}, "was not measured"), ({"run": "NaN"}, "fell")])
 def test_a_ratio_that_is_missing_or_no_number_fails(tmp_path, ratios, said):
-    """Those of two cores and of giajax's own solvers are not judged."""
+    """Ratios of two cores and of giajax's own solvers are not checked."""
     stored = history(tmp_path / "history.jsonl", {"run": 2.0, "batch: a": 9.0, "giajax: b": 9.0})
     found = history(tmp_path / "bench.json", {name: float(x) for name, x in ratios.items()})
     command = [sys.executable, "-m", "benchmarks.history", str(found), "--history", str(stored)]
@@ -123,7 +123,7 @@ def test_the_benchmark_of_stiff_joints_runs(tmp_path):
     at_error = found["seconds_at_error"]["30"]["0.0001"]
     assert set(at_error) == {"tsit5", "springs5", "kvaerno5"}
     assert all(seconds > 0 for seconds in at_error.values())
-    # A fifth of a fifth order is lost at most, from 16 to 64 steps.
+    # From 16 to 64 steps, at most a fifth of the order of 5 may be lost.
     errors = found["order"]["3"]["at every time"]
     assert errors[0] / errors[-1] > 4**4.5
     for name in ("order.png", "work_precision.png"):
@@ -132,7 +132,7 @@ def test_the_benchmark_of_stiff_joints_runs(tmp_path):
 
 @pytest.mark.long
 def test_the_benchmark_of_size_runs():
-    """A case is a process; the others compile arms for half a minute."""
+    """One case, because the others compile arms for half a minute."""
     found = json.loads(benchmark("size", "100,000 samples", "--quick"))
     assert found["peak_megabytes"] > 50
     assert found["status"] == "converged"
@@ -150,7 +150,7 @@ def test_the_benchmark_of_links_runs_beside_another_checkout(tmp_path):
 
 @pytest.mark.parametrize("name", ["links", "fit_process"])
 def test_a_folder_without_source_is_not_measured(name, tmp_path):
-    """It would be the installed package that is measured, beside itself."""
+    """Otherwise, the installed package would be compared with itself."""
     command = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--beside", str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert ended.returncode == 1
@@ -216,13 +216,13 @@ def test_the_cost_of_every_option_is_measured(tmp_path):
     found = json.loads(out.read_text())["options"]
     assert found["plain"]["ratio"] == 1
     assert all(each["min"] > 0 for each in found.values())
-    # Tiny arms in few turns: the limits themselves are for `make bench`.
+    # The arms are tiny and run only a few times; `make bench` checks the limits.
     assert {each["allowed"] for each in found.values()} == {1.0, 1.5, 2.0, None}
 
 
 @pytest.mark.long
 def test_hard_fits_end_and_say_why(tmp_path):
-    """Four steps of a fit of two windows, and all of those of three links."""
+    """Four steps of a fit of two windows, and complete fits of three links."""
     out = tmp_path / "hard.json"
     benchmark("hard", "--quick", "--out", out)
     found = json.loads(out.read_text())
@@ -231,12 +231,12 @@ def test_hard_fits_end_and_say_why(tmp_path):
     assert set(found["impossible"]) == {"y and z swapped", "a random walk", "a constant"}
     for each in found["impossible"].values():
         assert each["reason"] in ("cannot_fit", "crawl", "rough", "optimum")
-        assert each["iterations"] < 50  # it ended by itself, not because its steps were used up
+        assert each["iterations"] < 50  # the fit ended before its steps were used up
 
 
 @pytest.mark.long
 def test_all_corners_lead_to_the_optimum_in_few_steps(tmp_path):
-    """What a second is counts for nothing here."""
+    """The times are not checked here."""
     out = tmp_path / "hard.json"
     benchmark("hard", "--out", out)
     swings = json.loads(out.read_text())["pendulum"]
@@ -264,7 +264,7 @@ def test_the_benchmark_of_the_tolerance_runs(tmp_path):
     out = tmp_path / "tolerance.json"
     printed = benchmark("tolerance", "--quick", "--out", out)
     (each,) = json.loads(out.read_text()).values()
-    # How long it takes is for an idle machine; how far off it is, is not.
+    # The times require an idle machine, but the errors do not.
     assert max(each["off_in_standard_errors"]) < 0.01
     assert "of the former" in printed
 
@@ -274,7 +274,7 @@ def test_the_benchmark_of_a_fit_as_a_process_runs(tmp_path):
     benchmark("fit_process", "--quick", "--out", tmp_path / "fit.json")
     processes = json.loads((tmp_path / "fit.json").read_text())["processes"]["here"]
     cold, warm = processes["cold"], processes["warm"]
-    # The program of the fit is the one that is worth keeping.
+    # The program of the fit is worth caching.
     assert cold["cached"] == 0 < warm["cached"]
     assert warm["compiled"] < cold["compiled"]
     assert 0 < warm["first_iteration_s"] < warm["processor_s"]

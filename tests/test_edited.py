@@ -1,4 +1,4 @@
-"""An edit of the source is never answered by a program that was kept before it."""
+"""After an edit of the source, programs that were cached before are not used."""
 
 import inspect
 import os
@@ -16,14 +16,14 @@ PACKAGE = Path(giajax.__file__).parent
 
 
 def programs(home):
-    """How many programs are kept after a fit by the copied package."""
+    """Return the number of cached programs after a fit with the copied package."""
     words = ["fit", "loops_fit.toml", "--no-figures", "--quiet", "--out", "out", "--force"]
     environment = {
         **os.environ,
         "PYTHONPATH": str(home / "copy"),
         "JAX_COMPILATION_CACHE_DIR": str(home / "cache"),
     }
-    # As `python -m giajax` does, and the other command in the same process.
+    # As with `python -m giajax`, and with the other command in the same process.
     code = (
         "import sys\nfrom giajax.__main__ import main\nassert main() == 0\n"
         "from giajax.cli import main\nsys.exit(main(['cache']))"
@@ -39,7 +39,7 @@ def programs(home):
 
 @pytest.mark.slow
 def test_an_edit_of_the_physics_makes_other_programs(tmp_path):
-    """In whatever folder it is, and wherever the programs are looked after."""
+    """This holds for any folder, with either way to look up the cached programs."""
     shutil.copytree(PACKAGE, tmp_path / "copy" / "giajax")
     write_task(tmp_path)
     first = programs(tmp_path)

@@ -1,4 +1,4 @@
-"""Stored evidence: shown as it is, says what the documentation claims, and still comes out."""
+"""Stored evidence: displayed correctly, consistent with the documentation, and reproducible."""
 
 import math
 
@@ -10,7 +10,7 @@ from evidence import FOLDER, PAGE, STUDIES, page, read
 from evidence._coverage import p_value
 
 SHARE = 0.02
-# A study that was never run has no figures yet, and no section on the page.
+# A study without a run has no figures yet, and no section on the page.
 STORED = {name: study for name, study in STUDIES.items() if (FOLDER / f"{name}.json").exists()}
 
 
@@ -24,7 +24,7 @@ def figures_of(name):
 @pytest.mark.quick
 @pytest.mark.parametrize("study", STORED.values(), ids=list(STORED))
 def test_the_stored_run_can_be_had_again(study):
-    """It has the size and the seed of the study, and a commit that holds what was run."""
+    """It has the size and seed of the study, and a commit that contains the code that was run."""
     content = read(study)
     assert (content["study"], content["size"], content["seed"]) == (
         study.name, study.size, study.seed,
@@ -41,7 +41,7 @@ def test_the_page_shows_what_is_stored():
 
 @pytest.mark.quick
 def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
-    """Under white and correlated noise; and no estimate is off to one side."""
+    """With white and correlated noise; and no estimate is biased."""
     size, figures = figures_of("coverage")
     assert len(figures) == 12
     for case, each in figures.items():
@@ -55,7 +55,7 @@ def test_95_percent_intervals_hold_the_truth_as_often_as_they_say():
 
 @pytest.mark.quick
 def test_an_adequate_model_is_seldom_called_inadequate():
-    """At most 10 in 200, where noise is white or has the correlation that is stated."""
+    """At most 10 in 200, with white noise or with the stated correlation."""
     _, figures = figures_of("coverage")
     adequate = {case: each for case, each in figures.items() if each["adequate"]}
     assert len(adequate) == 5
@@ -67,14 +67,14 @@ def test_an_adequate_model_is_seldom_called_inadequate():
 
 @pytest.mark.quick
 def test_intervals_hold_the_truth_whatever_the_memory_of_the_noise():
-    """93 to 97 % of 95 % intervals."""
+    """93 to 97 % of the 95 % intervals contain the true value."""
     _, figures = figures_of("noise")
     assert len(figures) == 40
     for case, each in figures.items():
         assert abs(each["within"] / each["intervals"] - 0.95) < 0.02, case
         if each["correlation_times"] is not None and each["correlation_times"] < 20:
             assert each["seen_as_short"] > 0.9 * each["records"], case
-    # What else one could do, with a memory of ten samples.
+    # Alternative methods, for a correlation of ten samples.
     other = figures["rho 0.9, 250 samples, even, 1 channel, not stated"]
     assert other["within_if_white"] < other["within_hac"] < other["within_glsar"]
     assert other["within_glsar"] < other["within"]
@@ -84,7 +84,7 @@ def test_intervals_hold_the_truth_whatever_the_memory_of_the_noise():
 def test_an_omission_is_seen_and_found():
     size, figures = figures_of("suspects")
     assert sum(each["inadequate"] for each in figures.values()) >= 0.95 * size * len(figures)
-    # A random walk has no right answer.
+    # For a random walk, there is no correct interval.
     known = [each for name, each in figures.items() if name != "a random walk"]
     assert len(known) == 8
     assert sum(each["found"] for each in known) >= 0.8 * size * len(known)
@@ -92,7 +92,7 @@ def test_an_omission_is_seen_and_found():
 
 @pytest.mark.quick
 def test_the_ladder_leads_to_what_acts_on_a_link_for_its_mass():
-    """Within 3 standard errors, from a fit that has a third of it; with the mass, to all of it."""
+    """Within 3 standard errors, from a third of it; with free masses, combinations are found."""
     _, figures = figures_of("ladder")
     drag, stiffness = "air.drag_coefficient", "joints.pitch_stiffness"
     for path in (drag, stiffness, "joints.damping"):
@@ -100,14 +100,14 @@ def test_the_ladder_leads_to_what_acts_on_a_link_for_its_mass():
         assert is_within(figures["with_the_mass"][path]), path
     first = figures["rungs"][0]["parameters"][drag]
     assert abs(first["value"] - 1.2) > 100 * first["error"]
-    # With the masses free, too, neither has an error.
+    # If the masses are free, too, neither has an error.
     assert "only_combinations" in figures["scale"]["findings"]
     assert {"links.mass[0]", drag, stiffness} <= set(figures["scale"]["without_error"])
 
 
 @pytest.mark.quick
 def test_the_ladder_leads_from_the_papers_model_to_that_of_another_engine():
-    """Within 3 standard errors, and to the air that it has; the first fit is far off."""
+    """The added effects of the air are found within 3 standard errors; the first fit is far off."""
     _, figures = figures_of("ladder_friction")
     assert len(figures["found"]) == 5
     for path, one in figures["found"].items():
@@ -120,7 +120,7 @@ def test_the_ladder_leads_from_the_papers_model_to_that_of_another_engine():
 
 @pytest.mark.quick
 def test_an_explanation_is_as_good_as_a_model_built_by_hand():
-    """Of ten recordings with five omissions: right, adequate, hardly wider, in eight at least."""
+    """Ten recordings with five omissions: right, adequate and hardly wider in at least eight."""
     size, figures = figures_of("explained")
     assert len(figures) == size
     good = [
@@ -134,7 +134,7 @@ def test_an_explanation_is_as_good_as_a_model_built_by_hand():
 
 @pytest.mark.quick
 def test_profiles_agree_with_errors_where_these_are_right_and_hold_the_truth_where_not():
-    """Within 10 % on a fit that is determined well; at a bound and in a valley that bends."""
+    """Within 10 % for a well-determined fit; also at a bound and in a curved valley."""
     _, figures = figures_of("profile")
     for path, (low, high) in figures.pop("base_step").items():
         assert max(abs(low), abs(high)) < 0.1, path
@@ -142,7 +142,7 @@ def test_profiles_agree_with_errors_where_these_are_right_and_hold_the_truth_whe
         for path, one in each.items():
             chance = binomtest(one["by_profile"], one["fits"], 0.95, "less").pvalue
             assert chance > 0.01, f"{case}, {path}"
-    # What lies beyond the bound is not counted, and in the valley the error is too small.
+    # The part beyond the bound is excluded, and in the valley the standard error is too small.
     assert figures["a bound"]["slope"]["width"] < 0.8
     assert figures["a bent valley"]["amplitude"]["width"] > 1.1
 
@@ -166,7 +166,7 @@ def test_a_posterior_is_the_linear_interval_where_that_is_right_and_holds_the_tr
 
 @pytest.mark.quick
 def test_shaped_commands_leave_little_swing():
-    """2 % of the travel, and 5 % with a stiffness a quarter off by those that are for it."""
+    """2 % of the travel, and 5 % for robust shapers if the stiffness is 25 % off."""
     size, figures = figures_of("shaping")
     assert figures["links"] == 20
     assert set(figures["durations"]) == {"0.5", "1", "1.5"}
@@ -182,7 +182,7 @@ def test_shaped_commands_leave_little_swing():
 
 @pytest.mark.quick
 def test_a_tracked_arm_is_where_it_is_said_to_be():
-    """Tip within 0.10 m and the wind across within 0.05 m/s, with deviations that are right."""
+    """Tip within 0.10 m and cross-wind within 0.05 m/s, with consistent standard deviations."""
     size, figures = figures_of("tracking")
     arms = figures["arms"]
     assert figures["links"] == 20
@@ -190,7 +190,7 @@ def test_a_tracked_arm_is_where_it_is_said_to_be():
     for arm in arms:
         assert max(arm["tip_m"], arm["tip_smoothed_m"], arm["tip_in_time_m"]) < 0.10
         assert arm["wind_across_m_per_s"] < 0.05
-        # Bands of an arm that remembers are too wide.
+        # The intervals of an arm with hysteresis are too wide.
         assert (0.7 if not arm["memory"] else 0.4) < arm["nees"] < 1.3
         assert 0.90 < arm["covered"] < (0.98 if not arm["memory"] else 1.0)
         assert arm["right"]
@@ -208,9 +208,9 @@ def test_a_leak_is_seen_soon_and_none_where_there_is_none():
     assert sum(arm["false_alarms"] + arm["false_before_leak"] for arm in arms) == 0
     off = np.array([arm["drag_off_in_errors"] for arm in arms])
     assert np.count_nonzero(np.abs(off) < 2) >= 0.9 * size
-    # The tracker allows for an unmodelled torque, and a fit does not.
+    # The tracker allows for an unmodelled torque, unlike a fit.
     assert all(arm["drag_error_over_fit"] < 1.7 for arm in arms)
-    # One that is as sure of all else as the fit ends where that does.
+    # A tracker with the same assumptions as the fit gives the same estimate.
     assert all(abs(arm["alike_from_fit_in_errors"]) < 0.1 for arm in arms)
     assert all(arm["alike_error_over_fit"] == pytest.approx(1, abs=0.02) for arm in arms)
 
@@ -219,7 +219,7 @@ def is_within(one):
     return abs(one["value"] - one["truth"]) < 3 * one["error"]
 
 
-# That suspects see what is left out is asked of notebooks/04_trust.ipynb, too, in less time.
+# notebooks/04_trust.ipynb also checks that suspects find omitted effects, in less time.
 AGAIN = {name: study for name, study in STORED.items() if name != "suspects"}
 
 
@@ -244,7 +244,7 @@ def test_a_part_of_a_study_run_again_agrees_with_what_is_stored(study):
     ],
 )
 def test_what_disagrees_is_said(change, sentence):
-    """Standard errors that are 2.5 times too small are seen in ten fits."""
+    """Standard errors that are too small by a factor of 2.5 are detected with ten fits."""
 
     def figures(fits, **one):
         counts = {"fits": fits, "converged": fits, "inadequate": 0}
@@ -261,7 +261,7 @@ def test_what_disagrees_is_said(change, sentence):
 
 @pytest.mark.quick
 def test_a_fit_spreads_as_far_as_its_standard_errors_say():
-    """Within 10 %, which is 2.8 Monte Carlo errors of 400 repetitions."""
+    """Within 10 %, which is 2.8 Monte Carlo errors for 400 repetitions."""
     size, figures = figures_of("bootstrap")
     assert figures["repetitions"] == size
     assert figures["came_back"] >= 0.99 * size
@@ -274,7 +274,7 @@ def test_a_fit_spreads_as_far_as_its_standard_errors_say():
 
 @pytest.mark.quick
 def test_a_step_tells_what_a_part_of_the_data_does():
-    """As a fit without it: the shifts of all parameters have the same order."""
+    """Compared with a fit without the part, the shifts of all parameters have the same order."""
     _, figures = figures_of("influence")
     assert len(figures) == 3
     for case, one in figures.items():
@@ -301,7 +301,7 @@ def test_two_workers_are_faster_than_one():
 
 @pytest.mark.quick
 def test_a_design_halves_the_error_also_of_an_arm_that_it_did_not_know():
-    """To expect and in fits, of which the spread is as expected where nothing was left out."""
+    """In expectation and in fits, whose scatter is as expected if no effect is omitted."""
     size, figures = figures_of("design")
     assert figures["ratio"] <= 0.5
     step, designed = (figures["experiments"][name] for name in ("base step", "design"))
@@ -314,7 +314,7 @@ def test_a_design_halves_the_error_also_of_an_arm_that_it_did_not_know():
         for one in (foreseen, unknown):
             assert abs(one["mean"] - 1.12) < 3 * one["spread"] / math.sqrt(one["fits"])
         assert unknown["fits"] == size // 2
-        # What is left of the gusts is no white noise.
+        # The remaining effect of the gusts is not white noise.
         assert unknown["spread"] < 1.5 * unknown["stated"]
         wind, memory = each["suggested"]
         assert wind[0].startswith("air.wind")
@@ -325,7 +325,7 @@ def test_a_design_halves_the_error_also_of_an_arm_that_it_did_not_know():
 
 @pytest.mark.quick
 def test_a_certificate_is_calibrated_and_better_than_knowing_the_air():
-    """Over 1,000 missions, none of which was fitted to itself."""
+    """Over 1,000 missions; each is predicted without using itself."""
     size, figures = figures_of("certificate")
     assert figures["cases"] == size >= 1000
     assert figures["spiegelhalter_p"] > 0.05
@@ -335,17 +335,17 @@ def test_a_certificate_is_calibrated_and_better_than_knowing_the_air():
     assert figures["skill"] > figures["skill_of_the_true_air"]
     middling = figures["middling"]
     assert middling["cases"] > size / 2
-    # Of 0.2, which are asked for there, too, it has not more than this.
+    # The criterion there is 0.2, but the skill reaches only this.
     assert middling["skill"] > 0.1
     assert middling["skill"] > 2 * max(middling["skill_of_the_true_air"], 0)
     assert figures["air_holds"] > 0.9 * size
-    # Hotelling's test is at 0.1 %: more than 6 of 1,000 rests like the others are unlikely.
+    # Hotelling's test has a level of 0.1 %, so more than 6 of 1,000 similar rests are unlikely.
     assert figures["unlike"] <= 6
 
 
 @pytest.mark.quick
 def test_the_tip_is_held_in_moving_air():
-    """To a fifth of the swing of the arm that nobody holds; better than others, which are tuned."""
+    """Within a fifth of the swing of an uncontrolled arm; better than tuned alternatives."""
     size, figures = figures_of("holding")
     swings = {
         name: [np.inf if x is None else x for x in each]
@@ -359,7 +359,7 @@ def test_the_tip_is_held_in_moving_air():
     for other in ("PD", "LQG of the arm without its air"):
         assert middle["mpc"] < middle[other]
         assert max(swings["mpc"]) < max(swings[other])
-    # The margins, of the arm in the middle.
+    # The margins of the nominal arm.
     for margin in ("0.2 s late", "1 s late", "joints turn by 0.85", "joints turn by 1.2"):
         assert middle[f"mpc, {margin}"] <= 0.2 * middle["nobody"]
     assert figures["step_ms"]["p99"] <= 250
@@ -367,7 +367,7 @@ def test_the_tip_is_held_in_moving_air():
 
 @pytest.mark.quick
 def test_the_tip_is_steered_in_sooner_more_often_and_with_fewer_touches():
-    """Than by the operator, who was retuned, in the same arms and air."""
+    """Compared with the retuned operator, in the same arms and air."""
     size, figures = figures_of("steering")
     for kind, least in (("on the level", (70, 70)), ("along the line", (70, 68))):
         rows = {(row["driver"], row["wind_m_per_s"]): row for row in figures[kind]}
@@ -387,7 +387,7 @@ def test_the_tip_is_steered_in_sooner_more_often_and_with_fewer_touches():
 
 @pytest.mark.quick
 def test_the_operator_reaches_the_opening():
-    """Both readings of the 14 m: at 0.2 m/s in 90 % at least; and no link is pressed flat."""
+    """For both readings of the 14 m: in at least 90 % at 0.2 m/s, without flattened links."""
     size, figures = figures_of("missions")
     rows = [row for each in figures.values() for row in each["winds"]]
     assert sum(row["cases"] for row in rows) >= size

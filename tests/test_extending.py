@@ -1,4 +1,4 @@
-"""The examples of docs/extending: as scripts, and as plug-ins of the commands in new processes."""
+"""The examples of docs/extending, as scripts and as plug-ins of commands in new processes."""
 
 import json
 import re
@@ -27,7 +27,7 @@ RESULTS = {
 
 
 PAGE = (EXAMPLES.parent / "own_model.md").read_text(encoding="utf-8")
-# What the page on a model of one's own shows.
+# The commands on the page about user-defined models.
 COFFEE_FILTER = [
     line.replace(" --plugin coffee_filter.py", "").split()
     for line in re.findall(r"^\$ giajax (.*)$", PAGE, re.MULTILINE)
@@ -61,7 +61,7 @@ def test_each_example_is_one_file_of_at_most_60_lines_that_asserts():
         assert "assert" in text
 
 
-# The two that take minutes are for before a release; the others ask the same of laws and terms.
+# These two take minutes and run only before a release. The others test the same functions.
 LONG = ("hardening_joint", "fullness_drag")
 
 
@@ -84,7 +84,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
 
     run(plugin)
     file = f"{folder}/prediction.csv"
-    # The script has asked for the suspects of the law; workers import a plug-in, too.
+    # The script has tested for suspects of the law. Workers import a plug-in, too.
     report = ("report", folder)
     fit = ("fit", "--data", file, "--no-suspects", "--no-figures")
     commands = {
@@ -92,9 +92,9 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
         "coffee_filter": [*COFFEE_FILTER, ("init", "--data", "filter.csv", "--force")],
     }
     words = [[*each, "--plugin", str(plugin)] for each in commands.get(name, [report, fit])]
-    # In another process than the script, all in one: it imports JAX once.
+    # In another process than the script, but all together, because importing JAX takes long.
     run("-c", COMMANDS, json.dumps(words))
-    # Fitted by the script, but for the coffee filter: its page has a command for that.
+    # The script writes a result, except that of the coffee filter, whose page uses a command.
     if checked := json.loads(Path(folder, "result.json").read_text())["gradient_check"]:
         assert checked["relative_difference"] < 1e-4
     # Without the plug-in, which this process has not imported.
@@ -121,7 +121,7 @@ class BalloonSection(Section):
 
 
 def balloon(kind="balloon", **more):
-    """A class of models that is registered by nobody yet."""
+    """Return a class of models that is not registered yet."""
     body = {
         "__module__": "balloons",
         "kind": kind,
@@ -133,7 +133,7 @@ def balloon(kind="balloon", **more):
 
 
 def row(column, quantity, part="output", **more):
-    """The channels of a model that has one."""
+    """Return the channels of a model with one channel."""
     return (ChannelKind("cord", column, quantity, part, **more),)
 
 
@@ -155,7 +155,7 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
     with pytest.raises(giajax.InputError, match=r"unknown key balloon.volume: did you mean"):
         Definition.parse({"balloon": {"volume": 2}})
     assert type(giajax.model_for([run])) is registered("model", "balloon")
-    # A cell of a notebook that is run again, and changed.
+    # A notebook cell that was changed and is run again.
     other = type("BalloonSection", (Section,), {})
     giajax.register(balloon(section=other, timed=False))
     assert giajax.Run.from_arrays(None, values).definition.section(other) == other()
@@ -165,14 +165,14 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        ({"kind": "camera"}, r"there already is a section \[camera\]: give the model another kind"),
+        ({"kind": "camera"}, r"a section \[camera\] already exists: give the model another kind"),
         (
             {"channels": (ChannelKind("tip", "tip_x", "angle", "output"),)},
-            "there already is a channel tip_x, the length 'tip_position': declare tip_x, the angle",
+            "a channel tip_x already exists, the length 'tip_position': declare tip_x, the angle",
         ),
         (
             {"channels": (ChannelKind("force", "force", "torque", "output"),)},
-            "there already is a channel force, the force 'force'",
+            "a channel force already exists, the force 'force'",
         ),
         (
             {"channels": (ChannelKind("fullness", "fullness", "litres", "output"),)},
@@ -195,10 +195,10 @@ def test_a_registered_model_with_channels_is_a_kind_of_runs_with_columns_and_a_s
             "the channel aNN_bNN is not a valid name: .* NN at most once",
         ),
         ({"channels": row("time", "length")}, "the channel time of the row .* rename it"),
-        ({"channels": row("cord", "length", "measured")}, "has no part 'measured' in a model: use"),
+        ({"channels": row("cord", "length", "measured")}, "has the unknown part 'measured': use"),
         (
             {"channels": row("cord", "text")},
-            "the channel cord is a text channel without values: state them",
+            "the channel cord is a text channel without values: give them",
         ),
         (
             {"channels": row("cord", "length", noise="position")},
@@ -237,7 +237,7 @@ def test_the_model_of_a_package_is_imported_where_a_sidecar_names_it(tmp_path, m
     data.with_suffix(".toml").write_text('model = "packaged"\n')
     run = giajax.read_run(data)
     assert run.kind.name == "packaged"
-    # A process of workers gets the run alone.
+    # A worker process receives only the run.
     monkeypatch.setattr("giajax.runtime.plugins._CLASSES", {})
     del KINDS["packaged"]
     assert run.kind.outputs == ("fullness",)
@@ -266,7 +266,9 @@ def test_a_fit_of_several_kinds_one_of_which_is_ones_own_is_loaded():
     loaded = giajax.models.build_model(model.kind, stored, {})
     assert [part.kind for part in loaded.parts] == ["muscle", "kite", "balloon"]
     needs = balloon(kind="needs", channels=row("needs", "length"), __annotations__={"size": float})
-    with pytest.raises(giajax.InputError, match="the model Balloon cannot be made from defaults"):
+    with pytest.raises(
+        giajax.InputError, match="the model Balloon cannot be created from defaults"
+    ):
         needs.for_runs(runs)
 
 

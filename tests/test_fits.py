@@ -1,4 +1,4 @@
-"""The fit definitions that ship reach the figures that they state."""
+"""The fit definitions in fits/ reach their expected results."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from giajax.recordings import Definition
 from giajax.report import reached
 from giajax.schema.parameters import elements, switched_on
 
-# Fits of real recordings have no truth; tests/test_recordings.py looks at what they predict.
+# Real recordings have no true values; tests/test_recordings.py checks their predictions.
 FITS = [
     path
     for path in sorted((Path(__file__).parents[1] / "fits").glob("*.toml"))
@@ -19,7 +19,7 @@ FITS = [
 ]
 
 
-# How the other engine's sidecars call the parameters.
+# Names of the parameters in the sidecars of the other engine.
 ENGINE = {
     "air.drag_coefficient": "drag_coefficient",
     "joints.pitch_stiffness": "pitch_stiffness_N_m_per_rad",
@@ -29,7 +29,7 @@ ENGINE = {
 }
 
 
-# A geometry that is half wrong cannot be built; a camera that is half wrong looks elsewhere.
+# With errors of 50 %, a geometry cannot be built, and a camera looks in another direction.
 NEARER = {"geometry.": 0.15, "camera.side.": 0.25, "camera.front.": 0.25, "camera.tip.": 0.25}
 
 
@@ -48,12 +48,12 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
     definition, runs = task.definition, task.prepare().runs
     model = switched_on(model_for(runs), definition.fit.free)
     freed = {element.path for path in definition.fit.free for element in elements(model, path)}
-    # Of parameters that are determined only together, what is determined has a figure too.
+    # If only a combination of parameters is determined, the combination has an expected value, too.
     derived = set(definition.figures) & set(capabilities.derived(model))
     assert set(definition.figures) == freed | derived
     truths = [run.definition.truth for run in runs]
     if len({run.model for run in runs}) > 1:
-        # Runs of several models have not all of the truth each.
+        # Each of the models has only a part of the true values.
         truths = [{path: value for truth in truths for path, value in truth.items()}]
     for stated in truths:
         for name, figure in definition.figures.items():
@@ -66,12 +66,12 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
                 continue
             off = next((by for part, by in NEARER.items() if name.startswith(part)), 0.4)
             start = definition.fit.start.get(name)
-            if start is None:  # an option starts where it changes nothing
+            if start is None:  # an option starts at its neutral value
                 start = float(elements(model, name)[0].value(model))
             assert start == 0 or abs(np.log(start / truth)) > off
 
 
-# What these ask for the others do, too, together or by themselves, or a test of a shorter arm.
+# The other definitions together, or a test of a shorter arm, check the same as these.
 LONG = {
     "independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind",
     "joint_memory", "pitch_yaw", "camera_frame",
@@ -93,10 +93,10 @@ def test_it_reaches_its_figures(path):
     assert len(found) == len(definition.figures)
     missed = [f"{figure.path} {figure.sentence}" for figure in found if not figure.reached]
     assert missed == []
-    # The residuals are the noise that the sidecars state, to the accuracy of so many cells.
+    # The residuals equal the stated noise, within the accuracy for this number of cells.
     cells = sum(np.isfinite(values).sum() for run in runs for values in run.observations.values())
     assert abs(result.reduced_chi_square - 1) < 4 * np.sqrt(2 / cells)
-    # The same result must miss figures that are not true.
+    # Wrong expected values must not be reached.
     path, estimate = next(iter(result.free.items()))
     wrong = {"value": 1.1 * estimate.value, "standard_errors": 3}
     assert not reached(result, Definition.parse({"figures": {path: wrong}}))[0].reached

@@ -1,6 +1,6 @@
-"""Damaged and hostile files: read rightly or refused in one sentence, within seconds.
+"""Damaged and hostile files are read correctly or refused in one sentence, within seconds.
 
-What a CSV file says is told by a second reader, made of the standard library alone.
+An independent reader, which uses only the standard library, gives the content of CSV files.
 """
 
 import copy
@@ -23,7 +23,7 @@ from giajax.runtime.text import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# The same cases in every session. A case that takes 5 s hangs: the usual one takes milliseconds.
+# The cases are the same in every session. A case that takes 5 s hangs; most take milliseconds.
 usual = settings(
     max_examples=200,
     deadline=datetime.timedelta(seconds=5),
@@ -32,7 +32,7 @@ usual = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 
-# Written by hand: not the table that is tested.
+# Written by hand, independently of the table under test.
 UNITS = {
     "time_ms": 1e-3,
     "joint01_command_deg": math.pi / 180,
@@ -75,13 +75,13 @@ headers = st.lists(st.sampled_from(sorted(UNITS)), min_size=1, max_size=4, uniqu
 
 @st.composite
 def tables(draw, cell=cells, others=(0,) * 12 + (1, -1), fewest=1):
-    """The bytes of a CSV file, with some `others` more or fewer cells in a row than columns."""
+    """The bytes of a CSV file; a row may have `others` more or fewer cells than columns."""
     header = draw(headers.filter(lambda names: len(names) >= fewest))
     end = draw(st.sampled_from(["\n", "\r\n", "\r"]))
     lines = [",".join(header)]
     for _ in range(draw(st.integers(1, 5))):
         width = len(header) + draw(st.sampled_from(others))
-        # Most cells are as they should be, so that one decides about a file.
+        # Most cells are valid, so that a single cell decides about a file.
         kinds = [cell if draw(st.integers(0, 4)) == 0 else good for _ in range(width)]
         lines.append(",".join(map(draw, kinds)))
     text = end.join(lines) + draw(st.sampled_from(["", end, end + end]))
@@ -90,7 +90,7 @@ def tables(draw, cell=cells, others=(0,) * 12 + (1, -1), fewest=1):
 
 @st.composite
 def damaged(draw, originals, tokens):
-    """A file with some stretches of it taken out, repeated or replaced."""
+    """A file of which some parts are removed, repeated or replaced."""
     data = draw(st.sampled_from(originals))
     for _ in range(draw(st.integers(1, 4))):
         start = draw(st.integers(0, len(data)))
@@ -102,7 +102,7 @@ def damaged(draw, originals, tokens):
 
 
 def independently(data):
-    """Columns of a CSV file by name, in SI, or None where it is not a table of numbers."""
+    """Return columns of a CSV file by name, in SI, or None if it is not a table of numbers."""
     reader = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
     header, *rows = list(reader)
     while rows and rows[-1] == []:
@@ -132,7 +132,7 @@ def folder(tmp_path_factory):
 
 
 def outcome(read, *arguments):
-    """What a function returns, and "", or None and the sentence that it refuses with."""
+    """Return the result of a function and "", or None and its error message."""
     try:
         return read(*arguments), ""
     except InputError as error:
@@ -143,7 +143,7 @@ def outcome(read, *arguments):
 
 
 def same(data, path):
-    """Whether a file is read, and then as the second reader reads it."""
+    """Check that a file is refused, or read like the independent reader does."""
     path.write_bytes(data)
     table, said = outcome(read_table, path)
     if table is None:
@@ -164,11 +164,11 @@ def test_no_cell_is_read_as_another_number(folder, data):
     same(data, folder / "cells.csv")
 
 
-# A last row of one empty cell is no row.
+# A last row with one empty cell does not count as a row.
 @usual
 @given(tables(good, others=(0,), fewest=2))
 def test_numbers_are_read(folder, data):
-    """So that the test above is not one of a reader that refuses everything."""
+    """This shows that the reader in the test above does not refuse everything."""
     assert same(data, folder / "numbers.csv")
 
 
@@ -235,7 +235,7 @@ def test_a_damaged_definition_is_loaded_or_refused(folder, data):
 
 @st.composite
 def changed(draw, original, values):
-    """Plain data with one value of it taken out or replaced."""
+    """Plain data of which one value is removed or replaced."""
     data = copy.deepcopy(original)
     inner = data
     while True:
@@ -299,6 +299,6 @@ def test_a_damaged_result_is_parsed_as_json_is_or_refused(data):
     path = Path("result.json")
     try:
         record, _ = outcome(parse_json, data.decode(), path)
-    except ValueError:  # no JSON: whoever reads the file says what it should have been
+    except ValueError:  # invalid JSON is reported by the reader of the file
         return
     assert record is None or record == json.loads(data)

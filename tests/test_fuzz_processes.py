@@ -1,4 +1,4 @@
-"""Damaged files, given to the command as a user gives them: a sentence, soon, in little memory."""
+"""Damaged files as input of the command: one sentence, soon, with little memory."""
 
 import os
 import random
@@ -14,7 +14,7 @@ pytestmark = [
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
-# Those that import JAX take seconds each; `test_fuzz.py` gives the readers many more of all.
+# Cases that import JAX take seconds each. `test_fuzz.py` tests many more cases with the readers.
 CASES = {"run.csv": 8, "run.toml": 8, "fit.toml": 5, "result.json": 5}
 MOST_SECONDS, MOST_KIB = 5.0, 1024 * 1024
 
@@ -29,7 +29,7 @@ PIECES = [
 
 
 def damaged(data, rng):
-    """With one to three stretches taken out, repeated or replaced."""
+    """Return the data with one to three parts removed, repeated or replaced."""
     for _ in range(rng.randint(1, 3)):
         start = rng.randrange(len(data))
         piece = rng.choice(
@@ -40,7 +40,7 @@ def damaged(data, rng):
 
 
 def command(folder, name, rng):
-    """A command with files of which the named one is damaged."""
+    """Return a command whose named file is damaged."""
     files = {"run.csv": RUN, "run.toml": SIDECAR, "fit.toml": DEFINITION, "result.json": RESULT}
     files["fit.toml"] = DEFINITION.replace(b"../data/synthetic/joint_loops.csv", b"run.csv")
     for file, data in files.items():
@@ -51,8 +51,8 @@ def command(folder, name, rng):
     }.get(name, ["check", "--data", "run.csv"])
 
 
-# A process of its own: the memory of a child counts from that of the process which starts it, and
-# that of a worker of the tests is large.
+# The launcher is a separate process, because the memory of a child includes that of the process
+# which starts it, and the workers of the tests use much memory.
 LAUNCHER = """
 import os, subprocess, sys
 running = subprocess.Popen([sys.executable, *sys.argv[2:]], stdout=subprocess.DEVNULL)
@@ -64,17 +64,17 @@ with open(sys.argv[1], "w") as file:
 
 
 def used(words, folder):
-    """Exit status of a command, what it says on standard error, and its seconds and memory."""
+    """Return exit status, standard error, seconds and memory of a command."""
     launched = [sys.executable, "-c", LAUNCHER, "usage", *words]
     ended = subprocess.run(launched, cwd=folder, capture_output=True, check=True)
     status, seconds, memory = (folder / "usage").read_text().split()
-    # Of the processor: what another program takes beside it says nothing of this one.
+    # Processor time, which does not include the time of other programs.
     return int(status), ended.stderr.decode(errors="replace"), float(seconds), int(memory)
 
 
 @pytest.fixture(scope="module")
 def imports(tmp_path_factory):
-    """Seconds that importing JAX takes, which no file changes."""
+    """Measure the seconds for importing JAX, which do not depend on the files."""
     return used(["-c", "import giajax.fitting"], tmp_path_factory.mktemp("imports"))[2]
 
 

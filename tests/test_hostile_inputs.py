@@ -1,9 +1,9 @@
-"""Every input of every command, damaged by a seed: read as it says, or refused in one sentence.
+"""Inputs of all commands with seeded damage are read correctly or refused in one sentence.
 
-A case is a valid command on small files of which one is damaged, or a word of it is. It may end
-with the status that is documented, never with a traceback, within seconds and a gigabyte. What it
-reads nevertheless is compared with what the standard library reads. `make test` draws 300 cases,
-the tests marked `long` 3,000 others.
+A case is a valid command on small files, one of which is damaged, or with a damaged word. It must
+end with a documented status and without a traceback, within seconds and a gigabyte. If the input is
+read, it is compared with the result of the standard library. `make test` draws 300 cases, and the
+tests marked `long` draw 3,000 others.
 """
 
 import contextlib
@@ -73,7 +73,7 @@ ROBOT = (
 )
 FAST = "--no-figures --force --quiet --max-iterations 1 --no-suspects"
 
-# Tables of other programs, and how each is imported.
+# Tables of other programs, and the options of their import.
 FOREIGN = {
     "tracker.txt": "--unit cm --point elbow=link01",
     "sleap.csv": "--rate 50 --point tip=tip",
@@ -157,16 +157,16 @@ COMMANDS = {
         "explained/fits/first.json",
     ],
 }
-# Three times each: they do little but read, so that what they have read is compared.
+# These commands mainly read, so they are tested three times, and their results are compared.
 OFTEN = ("check", "import", "compare", "parameters", "drive")
-# One after the other, so that none is left out; only the damage is drawn.
+# In turn, so that none is omitted; only the damage is random.
 PAIRS = [
     (command, damaged)
     for command, files in COMMANDS.items()
     for damaged in files * (3 if command.startswith(OFTEN) else 1)
 ]
 random.Random(0).shuffle(PAIRS)
-# What takes long is not computed: the command ends there with a sentence.
+# Long computations are skipped: the command ends there with a message.
 LONG = (
     ("giajax.apps.mission", "Mission.fly"),
     ("giajax.apps.joint", "joint_files"),
@@ -182,7 +182,7 @@ LONG = (
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """Small files of every kind, all of which are right."""
+    """Return small valid files of every kind."""
     home = tmp_path_factory.mktemp("hostile")
     results = EARLIER / "results"
     shutil.copytree(results / "muscle", home, dirs_exist_ok=True)
@@ -204,7 +204,7 @@ def home(tmp_path_factory):
         "target.csv": "time_s,output\n0,0\n1,0.1\n2,0\n",
         "plan.toml": 'fit = "run_fit.toml"\n[grid]\nloss = ["linear", "huber"]\n',
     }  # fmt: skip
-    for sidecar in home.glob("*.toml"):  # else every damaged cell is known by the checksum
+    for sidecar in home.glob("*.toml"):  # otherwise the checksum would detect every damaged cell
         sidecar.write_text(re.sub("sha256 = .*", "", sidecar.read_text()))
     for name, text in {**texts, **TEXTS}.items():
         (home / name).write_text(text, newline="")
@@ -228,14 +228,14 @@ def home(tmp_path_factory):
 
 
 def ended(words):
-    """The status of a command, and what it says."""
+    """Return the status and the output of a command."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main(words)
     return status, out.getvalue(), err.getvalue()
 
 
-# What is wrong.
+# Damage.
 
 PIECES = [
     b"", b"\0", b"\xff", b"nan", b"1e300", b"1e999", b"-", b'"', b"{", b"[[", b"]\n[", b"= 9\n",
@@ -256,7 +256,7 @@ WORDS = [
 
 
 def cut(data, rng):
-    """With one to three stretches taken out, repeated or replaced."""
+    """Return the data with one to three parts removed, repeated or replaced."""
     for _ in range(rng.randint(1, 3)):
         start = rng.randrange(len(data) + 1)
         again = data[start : start + rng.randint(1, 200)] * rng.randint(2, 50)
@@ -267,7 +267,7 @@ def cut(data, rng):
 
 
 def changed(data, rng):
-    """Plain data with something in it gone, replaced or added."""
+    """Return plain data with an entry removed, replaced or added."""
     data = copy.deepcopy(data)
     inner = data
     while True:
@@ -289,7 +289,7 @@ def changed(data, rng):
 
 
 def toml(value):
-    """A value in TOML, which has no null."""
+    """Return a value in TOML, which has no null."""
     if isinstance(value, dict):
         pairs = (f"{json.dumps(key)} = {toml(one)}" for key, one in value.items())
         return "{" + ", ".join(pairs) + "}"
@@ -352,11 +352,11 @@ def damage(path, rng):
         path.write_bytes(b"\n".join(lines) + b"\n")
 
 
-# What a second reader, of the standard library alone, reads of it.
+# Readers that use only the standard library.
 
 
 def cells_of(path, below=0):
-    """Rows of a CSV file below so many that say nothing, header first."""
+    """Return the rows of a CSV file below `below` irrelevant rows, starting with the header."""
     text = path.read_text(encoding="utf-8-sig").rstrip("\n").split("\n", below)[-1]
     return list(csv.reader(io.StringIO(text), strict=True))
 
@@ -400,16 +400,16 @@ def same_points(path, home):
 
 
 def same_import(path, home):
-    """Each column that was imported is one of the table, in another unit and place of the zero."""
+    """Check that each imported column is a column of the table, with another unit and zero."""
     separator, parts = IMPORTED[path.name]
     text = path.read_text(encoding="utf-8-sig")
-    if path.name == "kinovea.txt":  # sections of rows
+    if path.name == "kinovea.txt":  # sections with rows
         text = "t elbow.X elbow.Y\n" + text.partition("# elbow\n")[2].partition("\n\n")[0]
         text = re.sub(" +", " ", text)
     if separator != ",":
         text = text.replace(",", ".")
     rows = [next(csv.reader([line], delimiter=separator), []) for line in text.splitlines()]
-    # The names of points stand above those of axes, once for each or for its first axis.
+    # The names of points are above those of axes, once for each axis or only for the first one.
     first, up = {"tracker.txt": ("t", 1), "motive.csv": ("Frame", 3)}.get(path.name, ("", 0))
     last = next(n for n, row in enumerate(rows) if not up or (row and row[0].strip() == first))
     names = rows[last]
@@ -418,7 +418,7 @@ def same_import(path, home):
         points = itertools.accumulate(above, lambda before, name: name or before)
         names = [f"{point}.{name}" for point, name in zip(points, names, strict=False)]
     body = rows[last + 1 :]
-    if path.name == "sleap.csv":  # pictures in any order
+    if path.name == "sleap.csv":  # frames in any order
         body.sort(key=lambda row: number(row[names.index("frame_idx")]))
     header, *written = cells_of(home / "o.csv")
 
@@ -437,7 +437,7 @@ def same_import(path, home):
 
 
 DEGREES = 180 / math.pi
-# Separator of cells; by column of the run that of the table, factor, zero, and what is said of it.
+# Cell separator; for each column of the run, its column in the table, factor, zero, description.
 IMPORTED = {
     "tracks.csv": (",", {"tip_u_px": ("m/0/X", 1, 0, ""), "tip_v_px": ("m/0/Y", -1, 10, "")}),
     "tracker.txt": (
@@ -476,12 +476,12 @@ IMPORTED = {
 
 
 def same_bag(path, home):
-    """What the reader of rosbags finds, of the two things that are imported."""
+    """Compare with the reader of rosbags, for the two imported topics."""
     header, *written = cells_of(home / "o.csv")
     topic, column = (
         ("/tip", "tip_x_m") if path.suffix == ".mcap" else ("/joint_states", "joint02_angle_deg")
     )
-    if path.suffix == ".mcap":  # the data themselves, and not what is said of them at the end
+    if path.suffix == ".mcap":  # the data themselves, not the summary at the end
         data = path.read_bytes()
         path = home / "scanned.mcap"
         path.write_bytes(data[:-28] + bytes(8) + data[-20:])
@@ -501,7 +501,7 @@ def same_bag(path, home):
 
 def same_definition(path, _):
     both = Definition.load(path).contents(), tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    # NaN is not NaN.
+    # NaN does not equal NaN.
     one, other = (json.loads(json.dumps(x, default=str), parse_constant=str) for x in both)
     assert one == other
 
@@ -510,7 +510,7 @@ def same_result(path, _):
     record = json.loads(path.read_text())
     try:
         result = load_result(path)
-    except InputError:  # of what a fit that begins there does not read
+    except InputError:  # a part that a warm-started fit does not read
         return
     for name, estimate in record["parameters"].items():
         assert result.parameters[name].value == estimate["value"]
@@ -539,16 +539,16 @@ SAME = {
 }  # fmt: skip
 
 
-# A case.
+# Cases.
 
 
 class Hangs(KeyboardInterrupt):
-    """A case that takes longer than any may."""
+    """A case that exceeds the time limit."""
 
 
 @contextlib.contextmanager
 def bounded(most):
-    """So many seconds of the processor, or of waiting; yields whether it hung, and its memory."""
+    """Limit the processor time and the waiting time; yield whether it hung, and the memory."""
 
     seen = {"hung": False}
 
@@ -560,10 +560,10 @@ def bounded(most):
     before = [signal.signal(number, stop) for number in numbers]
     limits = resource.getrlimit(resource.RLIMIT_AS)
     size, resident = (int(n) * resource.getpagesize() for n in STATM.read_text().split()[:2])
-    REFERENCES.write_text("5")  # the highest from now on
-    # What is compiled meanwhile is taken from the cache, or would be by the next case.
+    REFERENCES.write_text("5")  # resets the peak memory
+    # Allow for compilation, whose result the next case would find in the cache.
     signal.setitimer(signal.ITIMER_PROF, most + 55.0)
-    signal.setitimer(signal.ITIMER_REAL, 3 * (most + 55.0))  # of one that waits
+    signal.setitimer(signal.ITIMER_REAL, 3 * (most + 55.0))  # for a case that waits
     resource.setrlimit(resource.RLIMIT_AS, (size + 8 * MOST_BYTES, limits[1]))
     try:
         yield seen
@@ -578,7 +578,7 @@ def bounded(most):
 
 
 def try_one(seed, home, folder, seconds, most=None):
-    """One case, within so many seconds; how it ended, and what it took of time and memory."""
+    """Run one case within a time limit; return its status, time and memory."""
     most = MOST_SECONDS if most is None else most
     rng = random.Random(seed)
     command, damaged = PAIRS[seed % len(PAIRS)]
@@ -618,7 +618,7 @@ def try_one(seed, home, folder, seconds, most=None):
 
 @pytest.fixture
 def compiling():
-    """Seconds of compiling so far."""
+    """Return the seconds of compilation so far."""
     total = [0.0]
 
     def heard(event, duration, **_):
@@ -632,7 +632,7 @@ def compiling():
 
 @pytest.fixture
 def brief(monkeypatch):
-    """What takes long ends with a sentence."""
+    """Replace long computations by an error message."""
 
     def not_here(*_, **__):
         raise InputError("this takes long, so that it is not computed here: leave it out")
@@ -650,7 +650,7 @@ def try_many(seeds, home, tmp_path, compiling, most=None):
         shutil.rmtree(tmp_path / "case")
     statuses, seconds, grown = zip(*ends, strict=True)
     print(f"{len(ends)} cases, longest {max(seconds):.1f} s, most {max(grown) / 1e6:.0f} MB")
-    # Neither are all of them refused.
+    # Not all cases are refused, either.
     read = sum(status != 2 for status in statuses)
     assert len(ends) / 20 < read < len(ends) * 19 / 20
 
@@ -667,8 +667,8 @@ def test_a_command_reads_or_refuses_3000_others(home, tmp_path, compiling, brief
     try_many(range(1_000 + 100 * part, 1_100 + 100 * part), home, tmp_path, compiling)
 
 
-# Those that end with a sentence above, to their end. Without links an arm has twenty, and a design
-# takes minutes.
+# Commands that the test above ends early run completely here. An arm has twenty links by default,
+# and a design takes minutes.
 _COMPUTING = ("mission", "joint", "design", "fill", "unroll", "wind")
 COMPUTED = [
     seed for seed in range(5_000, 5_600) if PAIRS[seed % len(PAIRS)][0].split()[0] in _COMPUTING
@@ -712,7 +712,7 @@ def a_lie(read, *given, **named):
     ],
 )
 def test_each_check_can_fail(home, tmp_path, compiling, monkeypatch, reader, broken, says):
-    """A reader that is broken in one way is found by a case that it reads."""
+    """A reader with one defect is detected by a case that it reads."""
     monkeypatch.setattr(f"{__name__}.MOST_BYTES", 1 << 26)
     command = PAIRS.index(("check --data run.csv --json", "run.csv"))
     seeds = itertools.count(command, len(PAIRS))
@@ -720,7 +720,7 @@ def test_each_check_can_fail(home, tmp_path, compiling, monkeypatch, reader, bro
     holder, _, name = reader.rpartition(".")
     whole = getattr(importlib.import_module(holder), name)
     monkeypatch.setattr(reader, functools.partial(broken, whole))
-    most = -54.0 if broken is a_hang else None  # a second of the processor
+    most = -54.0 if broken is a_hang else None  # one second of processor time
     with pytest.raises(AssertionError, match=says):
         try_one(seed, home, tmp_path / "broken", compiling, most)
 

@@ -1,4 +1,4 @@
-"""Keys of tasks are those of version 0.1.0, whatever is moved, renamed or added since."""
+"""Task keys are those of version 0.1.0, despite later moves, renamings and additions."""
 
 import dataclasses
 import hashlib
@@ -26,12 +26,12 @@ def found(place):
 
 
 def named(names):
-    """Names now, by those in keys."""
+    """Return the current names, by the names in keys."""
     return {name.partition("=")[0]: name.rpartition("=")[2] for name in (names or "").split()}
 
 
 def test_no_identity_was_changed():
-    """Change where code lies, and what fields are called now; add nothing, and remove nothing."""
+    """Paths and current field names may change, but entries must not be added or removed."""
     kept = {
         identity: sorted(named(names))
         for table in (FUNCTIONS, CLASSES)
@@ -67,7 +67,7 @@ def fitted():
     return Fitted.of(load_result(EARLIER / "arm"), read_run(EARLIER / "arm" / "run.csv"))
 
 
-# Computed by version 0.1.0.
+# Computed with version 0.1.0.
 TASKS = {
     "profile": (
         ("study/_profile_task:one_side", None),
@@ -133,7 +133,7 @@ def arguments_of(what, fitted):
 @pytest.mark.parametrize("what", TASKS)
 def test_keys_of_every_study_are_those_of_then(what, fitted, monkeypatch):
     (identity, seed), key, own_seed = TASKS[what]
-    # As if the model were giajax's: the file of one's own counts in a start, as it is today.
+    # As if the model were part of giajax; now, the file of a user's model is part of the key.
     monkeypatch.setattr("giajax.runtime.plugins.source", lambda module: None)
     task = Task(place_of(identity), arguments_of(what, fitted), seed=seed)
     assert (task.key, task.own_seed) == (key, own_seed)
@@ -158,7 +158,7 @@ def test_a_model_of_a_user_counts_by_its_full_name():
 
 
 def new_class(module, *fields, name="New"):
-    """A class of giajax that no table knows."""
+    """Return a class of giajax that is not in any table."""
     made = dataclasses.make_dataclass(name, fields, frozen=True)
     made.__module__ = module
     return made
@@ -196,7 +196,7 @@ def test_an_argument_that_was_added_counts_where_it_is_set(fitted):
 
 
 def test_what_is_renamed_keeps_its_key(fitted, monkeypatch):
-    """A function with its argument, and a class with its field."""
+    """A renamed function with its argument, and a renamed class with its field."""
     from giajax.runtime import identities as _identities
 
     place, about = place_of("study/_profile_task:one_side"), arguments_of("profile", fitted)
@@ -222,14 +222,14 @@ def test_what_is_renamed_keeps_its_key(fitted, monkeypatch):
 
 
 class Odd:
-    """Neither data nor a dataclass."""
+    """A class that is neither plain data nor a dataclass."""
 
     def __init__(self, *words):
         self.words, self.seen = list(words), {"b", "a"}
 
 
 def test_what_is_no_data_counts_by_what_a_copy_would_have():
-    """Not by its pickle, in which a text that is there twice is another than two alike."""
+    """It does not use its pickle, in which two identical texts can be shared or separate."""
     word = "".join(["a", "b"])
     assert key_of(Odd(word, word)) == key_of(Odd("ab", "".join(["a", "b"])))
     assert key_of(Odd("ab")) != key_of(Odd("ba"))

@@ -1,7 +1,7 @@
-"""Studies that are killed (`kill -9`) at any moment: the same command goes on to the same numbers.
+"""Studies that are killed (`kill -9`) at any moment continue to the same numbers.
 
-Of each kind the smallest one, slowed down so that moments differ; a design begins anew, and a drive
-leaves what was driven. `long` are 30 moments of each, and `slow` two.
+Each study has minimal size, and is slowed down so that the moments differ. A design starts again,
+and a drive leaves its recorded part. Tests marked `long` use 30 moments per study, `slow` ones two.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EARLIER = ROOT / "tests" / "earlier"
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 
-# Command, and what it writes first.
+# The command, and the first file that it writes.
 STUDIES = {
     "fit": ("fit run_fit.toml --out out --no-figures --no-suspects", "out"),
     "sweep": ("sweep plan.toml --out out", "out"),
@@ -41,14 +41,14 @@ STUDIES = {
     ),
     "drive": ("drive arm.toml --replay pad.csv --to run-2.csv --force", "run-2-unfinished.csv"),
 }
-# A server that has imported everything forks a process for each moment: JAX has no threads yet.
+# A server with all imports forks a process for each moment, before JAX has started threads.
 SERVER = multiprocessing.get_context("forkserver" if os.name == "posix" else None)
 if os.name == "posix":
     SERVER.set_forkserver_preload(["giajax.cli", "giajax.studies", "giajax.apps.driving"])
 
 
 def child(folder, words):
-    """A command as a process of its own, slowed down where it writes."""
+    """Run a command in this process, with delays where it writes."""
 
     def slow(holder, name, seconds):
         function = getattr(holder, name)
@@ -72,7 +72,7 @@ def child(folder, words):
 
 
 def make(folder, name):
-    """A folder with what a study begins with."""
+    """Return a folder with the input of a study."""
     of = {"sweep": "studies/sweep", "fit": "studies/journal"}.get(name, "studies/profile")
     shutil.copytree(EARLIER / of, folder, ignore=shutil.ignore_patterns("half", "whole"))
     (folder / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 2\n')
@@ -80,7 +80,7 @@ def make(folder, name):
 
 
 def do(words):
-    """Do a command in this process."""
+    """Run a command in this process."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         status = main(words.split())
@@ -88,18 +88,18 @@ def do(words):
 
 
 def go_on(name):
-    """What a person does whose study was killed."""
+    """Run the command that a user would run after a study was killed."""
     words, _ = STUDIES[name]
     if name == "fit" and Path("out/journal.jsonl").exists():
         words = "fit --resume out --no-figures --no-suspects"
-        # Killed before its first state, it has nothing to go on with.
+        # A fit killed before its first state cannot be continued.
         if Path("out/journal.jsonl").read_bytes().count(b"\n") < 2:
             words = STUDIES[name][0]
     do(words)
 
 
 def without_times(data):
-    """Plain data without how long it took, and where."""
+    """Return plain data without times and paths."""
     if isinstance(data, dict):
         own = ("seconds", "worker", "task", "path")
         return {key: without_times(one) for key, one in data.items() if key not in own}
@@ -107,7 +107,7 @@ def without_times(data):
 
 
 def numbers(name):
-    """All numbers that a study has written."""
+    """Return all numbers that a study has written."""
     written = sorted([*Path("out").glob("*"), *Path("fit").glob("*"), *Path().glob("run-2*")])
     found = {}
     for path in written:
@@ -149,7 +149,7 @@ def test_a_study_that_is_killed_goes_on(tmp_path, monkeypatch, name, moments):
         start = time.monotonic()
         while first != "nothing" and not os.path.lexists(first) and running.is_alive():
             time.sleep(0.01)
-        if moment < 0:  # how long it takes
+        if moment < 0:  # measures the duration
             appeared = time.monotonic() - start
             running.join()
             began = (appeared, time.monotonic() - start)
@@ -170,20 +170,20 @@ def test_a_study_that_is_killed_goes_on(tmp_path, monkeypatch, name, moments):
         assert numbers(name) == before, f"moment {moment}"
         assert not list(Path().rglob("*.part")), f"moment {moment}"
         shutil.rmtree(folder)
-    # Most were killed before they ended.
+    # Most processes must be killed before they end.
     print(
         f"{name}: {moments} moments, {early} killed before the end, {left} with something kept, "
         f"{torn} with something unfinished"
     )
-    # Of two moments chance, and what else the machine does, may have put both after the end.
+    # Two moments may both be after the end, by chance or because of other load.
     assert early >= moments / 2 or moments < 30
     assert torn or moments < 30 or name in ("fit", "design", "drive")
 
 
 def check_drive(home, path, rows):
-    """What a killed drive left are the first rows of the whole one, whole."""
+    """Check that the file of a killed drive contains complete first rows of the whole drive."""
     found = rows_of(path)
-    if not found:  # killed once all was saved
+    if not found:  # killed after everything was saved
         assert Path("run-2.csv").read_bytes() == (home / "run-2.csv").read_bytes()
         return
     assert len(found) >= rows

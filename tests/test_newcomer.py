@@ -1,7 +1,7 @@
-"""A newcomer's first hour: a clone, the README from top to bottom, a file of one's own, mistakes.
+"""A newcomer's first hour: a clone, the README from top to bottom, a user's file, mistakes.
 
-The clone is of what is committed. Commands run as they are printed, in an environment that only
-they have made, and what a message says to do is done to the letter.
+The clone contains the committed state. The commands run as printed, in an environment created only
+by them, and the instructions in messages are followed literally.
 """
 
 import contextlib
@@ -30,12 +30,12 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[1]
 OWN = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 3.1, "joints.damping": 0.05}
 NOISE = 0.015  # m
-_PATIENCE = 300.0  # s, for a page
+_PATIENCE = 300.0  # s, waiting time for a page
 LINKS = ("link03", "link08", "link14", "link20")
 
 
 class Terminal:
-    """Command lines in a folder; what one of them exports, the next one knows."""
+    """Runs command lines in a folder; exported variables are kept for later lines."""
 
     def __init__(self, folder, home):
         self.folder = folder
@@ -44,7 +44,7 @@ class Terminal:
         browser = home / "browser"
         browser.write_text(f'#!/bin/sh\necho "$1" >> {self._opened}\n')
         browser.chmod(0o755)
-        # Nothing of the environment that runs the tests.
+        # Remove the environment that runs the tests.
         ours = re.compile(r"PYTHON|VIRTUAL_ENV|JAX|XLA|EQX|GIAJAX|PYTEST|MAKE|MFLAGS|BROWSER")
         self._environment = {k: v for k, v in os.environ.items() if not ours.match(k)}
         cache = str(home / "programs")
@@ -67,19 +67,19 @@ class Terminal:
         )
 
     def run(self, line, status=0):
-        """What a line prints, to both streams."""
+        """Run a line and return its output on both streams."""
         process = self.start(line)
         said = "".join(process.communicate())
         assert process.returncode == status, f"{line}\n{said}"
         return said
 
     def last_opened(self):
-        """The address with which a line has opened a browser."""
+        """Return the address with which a line has opened a browser."""
         return self._opened.read_text().split()[-1]
 
     @contextlib.contextmanager
     def serving(self, line):
-        """A line that runs until Ctrl-C; the address with which it opens a browser."""
+        """Run a line until Ctrl-C; yield the address with which it opens a browser."""
         self._opened.unlink(missing_ok=True)
         process = self.start(line)
         late = time.monotonic() + _PATIENCE
@@ -99,7 +99,7 @@ class Terminal:
 
 
 def record(path):
-    """A recording of one's own: another motion, other links, other noise than any that ships."""
+    """Write a user's recording: its motion, links and noise differ from those of all examples."""
     times = np.linspace(0.0, 25.0, 251)
     arm = giajax.replace(giajax.takeichi_20m(), OWN)
     command = giajax.joint_ramps(arm.count, {1: np.deg2rad(25.0)}, start=1.0, duration=2.0)
@@ -113,20 +113,20 @@ def record(path):
 
 
 def estimates(text):
-    """Value and error of each parameter in a printed table."""
+    """Return value and error of each parameter in a printed table."""
     rows = re.findall(r"^(\w+\.\w+) +(\S+) +(\S+) ", text, re.MULTILINE)
     return {name: (value, error) for name, value, error in rows}
 
 
 def same(shown, found):
-    """As printed, but for the last digit, which another processor may round otherwise."""
+    """Compare a printed value, except for the last digit, which depends on the processor."""
     if shown == found or "-" in (shown, found):
         return shown == found
     return abs(float(shown) - float(found)) < 1.1 * 10.0 ** -len(shown.partition(".")[2])
 
 
 def look(address, tmp_path, script):
-    """Open a page in Chromium, if there is one: it is drawn, and its console is empty."""
+    """Open a page in Chromium, if there is one; check that it is drawn, with an empty console."""
     browser = browse.installed()
     if browser is None:
         return
@@ -172,9 +172,9 @@ def test_the_readme_from_top_to_bottom_with_a_file_of_ones_own(tmp_path):
 
 
 def follow(terminal, line, clone, tmp_path):
-    """Do what a line of the README says, and what belongs to it."""
+    """Follow a line of the README, and check its results."""
     if line == "make test":
-        # What runs this is that: see that it would be run.
+        # This test runs within `make test`, so only check that the command would run.
         said = terminal.run("make --dry-run test")
         assert "pytest" in said
         return said
@@ -185,10 +185,10 @@ def follow(terminal, line, clone, tmp_path):
         return ""
     said = terminal.run(line)
     if line == "make demo":
-        # The extra that is missing is installed by what the message says, ...
+        # A missing extra is installed with the command in the message.
         refused = terminal.run(".venv/bin/giajax report giajax-out/base_step", status=2)
         terminal.run(refused.partition("installed: ")[2])
-        # ... and what the demonstration ends with works.
+        # The commands at the end of the demonstration work.
         for each in re.findall(r"^  (\. .*|\.venv/.*)$", said, re.MULTILINE):
             terminal.run(f"({each})")
         look(terminal.last_opened(), tmp_path, "document.body.dataset.drawn")
@@ -201,14 +201,14 @@ def follow(terminal, line, clone, tmp_path):
 
 
 def state_noise(sidecar):
-    """Fill in a line that `giajax init` has offered."""
+    """Enable a line that `giajax init` has offered."""
     offered, text = "# position_m = 0.01 ", sidecar.read_text()
     assert text.count(offered) == 1
     sidecar.write_text(text.replace(offered, f"position_m = {NOISE} "))
 
 
 def make_mistakes(terminal, clone, printed):
-    """Mistakes of a first day, each mended by what its message says."""
+    """Make typical mistakes of a first day, and correct each one as its message says."""
     header, rows = (clone / "run.csv").read_text().split("\n", 1)
     for wrong, status in (("joint1_comand_deg", 2), ("joint01_command_rad", 0)):
         name = f"{wrong}.csv"
@@ -218,7 +218,7 @@ def make_mistakes(terminal, clone, printed):
         mended = terminal.run(f"giajax check --data {name} --strict {advice}")
         assert "joint01_command " in mended
         assert f"column '{wrong}'" not in mended
-    # The right name is one of those that the fit has printed: nothing is fitted once more.
+    # The correct name is among those that the fit has printed, so nothing is fitted again.
     wrong = "air.drag_coeficient"
     said = terminal.run(f"giajax fit --data run.csv --free {wrong}", status=2)
     (right,) = re.findall(rf"'{wrong}': did you mean '(\S+)'\?", said)

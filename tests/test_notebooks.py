@@ -33,7 +33,7 @@ def test_a_notebook_is_stored_without_outputs(path):
         assert cell.outputs == []
         assert cell.execution_count is None
     assert any("assert " in cell.source for cell in code_of(notebook))
-    # Nothing of the machine that wrote it.
+    # The metadata contain nothing about the machine on which it was written.
     assert notebook.metadata.get("kernelspec", {}).get("name", "python3") == "python3"
 
 
@@ -41,9 +41,10 @@ def test_a_notebook_is_stored_without_outputs(path):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path, monkeypatch):
-    """In a kernel of its own, in an empty folder, in short unless GIAJAX_SHORT says otherwise.
+    """The notebook runs in its own kernel, in an empty folder, in its short form.
 
-    One that `make docs` ran, with the same source, is not run again.
+    GIAJAX_SHORT can select the long form. A notebook that `make docs` ran with the same source is
+    not run again.
     """
     monkeypatch.setenv("GIAJAX_SHORT", os.environ.get("GIAJAX_SHORT", "1"))
     notebook = notebooks.executed(path)

@@ -1,6 +1,6 @@
 """A class is abstract or final: no concrete method of a base class is overridden.
 
-But for those that a class for others to derive from marks as `optional`.
+The exceptions are methods that a public base class marks as `optional`.
 """
 
 import importlib
@@ -11,7 +11,7 @@ import giajax
 
 
 def classes():
-    """All classes of giajax, each where it is defined."""
+    """Return all classes of giajax, each where it is defined."""
     for _, name, _ in pkgutil.walk_packages(giajax.__path__, "giajax."):
         if name.endswith("__main__"):
             continue
@@ -22,7 +22,7 @@ def classes():
 
 
 def overridden(kind):
-    """Concrete methods and properties of giajax's own bases that a class has anew."""
+    """Return concrete methods and properties of giajax's base classes that a class overrides."""
     for base in kind.__mro__[1:]:
         if not base.__module__.startswith("giajax"):
             continue

@@ -1,4 +1,4 @@
-"""What is installed: version bounds that were tried, one version everywhere, a wheel that works."""
+"""Installation: tested version bounds, one version everywhere, and a wheel that works."""
 
 import itertools
 import os
@@ -22,14 +22,14 @@ EXTRAS = ("bench", "mujoco", "report", "view", "cluster", "posterior", "ros", "d
 
 
 def pinned(name):
-    """Versions of a constraints file, by lower-case name."""
+    """Return the versions in a constraints file, by lower-case name."""
     lines = (ROOT / name).read_text(encoding="utf-8").splitlines()
     pairs = (line.split("==") for line in lines if line and not line.startswith("#"))
     return {name.lower(): Version(version) for name, version in pairs}
 
 
 def lower_bounds():
-    """Of what the package needs, and what its tests and its documentation need."""
+    """Return the lower bounds of the package, its tests and its documentation."""
     extras = PROJECT["optional-dependencies"]
     several = (extras[name] for name in EXTRAS)
     texts = [*PROJECT["dependencies"], *itertools.chain.from_iterable(several)]
@@ -66,7 +66,7 @@ def test_one_version_everywhere():
 
 
 def run(*command, cwd):
-    """A process that sees nothing of this environment's packages."""
+    """Run a process that cannot access the packages of this environment."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     ended = subprocess.run(
         list(map(str, command)), cwd=cwd, env=environment, capture_output=True, text=True

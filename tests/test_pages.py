@@ -1,4 +1,4 @@
-"""What the pages of docs/ say of the source is so."""
+"""Statements of the pages in docs/ about the source hold."""
 
 import itertools
 import re
@@ -32,7 +32,7 @@ def test_every_table_has_its_page():
 
 @pytest.mark.quick
 def test_the_units_of_the_data_contract_are_those_of_columns():
-    """As columns of a channel that takes any quantity; time and ratio are told by other tests."""
+    """These are columns of a channel with any quantity; other tests check time and ratio."""
     rows = re.findall(r"^\| ([a-z ]+) \| ((?:`\w+`(?:, )?)+) \|$", page("data_contract.md"), re.M)
     quantities = {quantity: re.findall(r"`(\w+)`", units) for quantity, units in rows}
     assert len(quantities) == 10

@@ -1,4 +1,4 @@
-"""What a page may do: its own scripts run, and no other; it loads nothing from elsewhere."""
+"""A page runs only its own scripts, and loads nothing from elsewhere."""
 
 import re
 
@@ -14,7 +14,7 @@ PAGE = b"""<!doctype html><html><head><meta charset="utf-8"><title>a page</title
 </body></html>
 """
 
-# What a name of a run would be, if one got through.
+# The content that a malicious name of a run would add to a page.
 EVIL = b"""<script>window.evil = 1</script><img src="nothing" onerror="window.evil = 1">
 <a id="link" href="javascript:window.evil = 1">a</a></body>"""
 
@@ -31,7 +31,7 @@ def test_a_page_says_first_what_it_may_do():
         == PAGE
     )
     assert b"script-src 'none';" in with_policy(b"<head><style></style></head>")
-    with pytest.raises(AssertionError, match="to insert the policy before"):
+    with pytest.raises(AssertionError, match="for the policy to precede"):
         with_policy(b"<p>nowhere to put it</p>")
 
 

@@ -1,4 +1,4 @@
-"""The public names: listed once, all of them there, typed, and enough for what the pages show."""
+"""The public names: listed once, complete, typed, and sufficient for the examples of the pages."""
 
 import ast
 import importlib
@@ -21,7 +21,7 @@ STUB = ROOT / "src" / "giajax" / "__init__.pyi"
 
 
 def listed():
-    """Names of the stub, as often as they stand in it."""
+    """Return the names in the stub, with repetitions."""
     tree = ast.parse(STUB.read_text(encoding="utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
     return [alias.asname for node in imports for alias in node.names]
@@ -57,7 +57,7 @@ def test_every_model_and_what_users_reach_for_is_there():
 
 @pytest.mark.quick
 def test_signatures_are_complete():
-    """Each keyword is there with its default; presets pass theirs on to `chain`."""
+    """Each keyword is listed with its default; presets pass their keywords to `chain`."""
     things = {name: getattr(giajax, name) for name in listed()}
     vague = {
         name
@@ -85,7 +85,7 @@ def test_the_version_is_that_of_the_installation():
 
 @pytest.mark.quick
 def test_no_two_public_things_share_a_name():
-    """A name means the same in every room that has it, and in `giajax` itself."""
+    """A name means the same in every package that has it, and in `giajax` itself."""
     things = defaultdict(dict)
     for room in ["", *ROOMS]:
         module = importlib.import_module(f"giajax.{room}".rstrip("."))
@@ -98,7 +98,7 @@ def test_no_two_public_things_share_a_name():
 
 
 def shown():
-    """Python that README, documentation and notebooks show, with the name of its page."""
+    """Yield the Python code in README, documentation and notebooks, with the name of its page."""
     for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         text = page.read_text(encoding="utf-8")
         for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
@@ -125,7 +125,7 @@ def test_what_pages_use_of_giajax_is_public():
 
 
 def test_names_load_when_they_are_used():
-    """And none before: neither JAX nor a room."""
+    """Before that, neither JAX nor any package is imported."""
     code = (
         "import giajax, sys\n"
         "assert not {'jax', 'numpy', 'giajax.mechanics.arm'} & set(sys.modules)\n"

@@ -1,4 +1,4 @@
-"""What README and pages show must run: their Python, their commands, and docstrings' examples."""
+"""The Python code and commands of README and pages, and the examples in docstrings, must run."""
 
 import doctest
 import importlib
@@ -19,12 +19,12 @@ from giajax.tasks import Plan
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PAGES = {page.name: page for page in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]}
-# Their Python runs in tests/test_architecture.py, as new files, and in tests/test_newcomer.py.
+# Their Python code runs in tests/test_architecture.py, as new files, and tests/test_newcomer.py.
 ELSEWHERE = {"architecture.md", "README.md"}
 
 
 def python(name):
-    """The blocks of Python of a page."""
+    """Return the Python blocks of a page."""
     return re.findall(r"```python\n(.*?)```", PAGES[name].read_text(encoding="utf-8"), re.DOTALL)
 
 
@@ -39,7 +39,7 @@ SHOWN = [
 @pytest.mark.usefixtures("own_kinds")
 @pytest.mark.parametrize("name", SHOWN)
 def test_the_python_of_a_page_runs(name, monkeypatch):
-    """From top to bottom: a block knows what those before it have made."""
+    """The blocks run from top to bottom, in one namespace."""
     monkeypatch.chdir(ROOT)
     names = {}
     for block in python(name):
@@ -48,7 +48,7 @@ def test_the_python_of_a_page_runs(name, monkeypatch):
 
 
 def toml():
-    """The blocks of TOML of the pages, each with the name of its page."""
+    """Return the TOML blocks of the pages, each with the name of its page."""
     for name in PAGES.keys() - ELSEWHERE:
         text = PAGES[name].read_text(encoding="utf-8")
         yield from ((name, block) for block in re.findall(r"```toml\n(.*?)```", text, re.DOTALL))
@@ -72,10 +72,10 @@ def test_the_files_that_pages_show_are_legal():
     ("page", "folder", "truth"), [("own_arm.md", "mine", 1.3), ("film.md", "tube", 1.15)]
 )
 def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, monkeypatch, capsys):
-    """Blocks that begin with a name are files; the C_D of a simulation is found again."""
+    """Blocks that start with a name are files; the fit must find the simulated C_D."""
     said = {}
     monkeypatch.chdir(tmp_path)
-    # Each choice of the model would be a program for the suspects, of which nothing is asserted.
+    # Without model variants, because each would compile a program that is not checked.
     monkeypatch.setattr(giajax.ArmModel, "variants", lambda self: {})
     text = PAGES[page].read_text(encoding="utf-8")
     (tmp_path / "robot.xml").write_text(ROBOT)
@@ -99,12 +99,12 @@ def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, mon
     assert len(table(text)) == 5
     for name, numbers in table(text).items():
         for shown, found in zip(numbers, printed[name], strict=True):
-            # But for the last digit, which another processor may round otherwise.
+            # Except for the last digit, which depends on the processor.
             assert abs(float(shown) - float(found)) < 1.1 * 10.0 ** -len(shown.partition(".")[2])
 
 
 def table(text):
-    """The numbers in the rows of a table of parameters, by their names."""
+    """Return the numbers in the rows of a parameter table, by parameter."""
     rows = [line for line in text.splitlines() if re.match(r"\w+\.[\w\[\]]+ +-?\d", line)]
     return {line.split()[0]: re.findall(r"-?\d+\.\d+", line) for line in rows}
 
@@ -129,7 +129,7 @@ def test_the_examples_of_docstrings_run(name):
 
 
 def commands():
-    """Command lines that README and docs show, with the name of the page."""
+    """Return the command lines in README and docs, with the name of the page."""
     for name, page in PAGES.items():
         text = page.read_text(encoding="utf-8")
         found = re.findall(r"^```(\w*)\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
@@ -142,7 +142,7 @@ def commands():
 
 @pytest.mark.quick
 def test_the_commands_of_the_pages_are_there_with_their_options(capsys):
-    """Each is parsed as the command line would, and nothing is run; none is an old form."""
+    """Each is parsed as in the command line but not run, and none has an old form."""
     shown = [(page, line) for page, line in commands() if not line.startswith("columns")]
     assert len(shown) > 60
     for page, line in shown:

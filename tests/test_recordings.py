@@ -1,4 +1,4 @@
-"""Fits of real recordings predict runs that they have not seen, better than what was published."""
+"""Fits of real recordings predict further runs better than the published models."""
 
 from pathlib import Path
 
@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 
 
 def prepared(name, **changes):
-    """A definition in fits/, with its runs read."""
+    """Read a definition in fits/ and its runs."""
     return FitTask.load(ROOT / "fits" / f"{name}.toml").on_top(**changes).prepare()
 
 
 def published(name, definition, runs):
-    """The published model, for the same runs."""
+    """Return the published model for the same runs."""
     stated = Definition.load(ROOT / "data" / "recorded" / name / "published.toml")
     given = {
         key: value for key, value in definition.contents().items() if key in ("initial", "fit")
@@ -29,18 +29,18 @@ def published(name, definition, runs):
 
 @pytest.mark.long
 def test_the_triple_pendulum_is_predicted_better_than_by_the_published_parameters():
-    # The other starts of the definition end where the first one does, after minutes.
+    # The other initial guesses of the definition lead to the same optimum after minutes.
     ready = prepared("triple_pendulum", starts=1)
     unseen = ready.validation
     assert (len(ready.runs), len(unseen)) == (22, 2)
     reference = published("triple_pendulum", ready.definition, unseen)
-    # What the fit starts from is far off.
+    # The initial guess is far off.
     assert max(one.ratio for one in compare(model_for(ready.runs), unseen, reference)) > 5
     result = ready.run(check=False)
     assert result.status == "converged", result.message
     assert not any(estimate.remark for estimate in result.free.values())
     ratios = [one.ratio for one in compare(result.model, unseen, reference) if not one.pooled]
-    # As docs/examples.md and the data's own README state them.
+    # The same values are in docs/examples.md and in the README of the data.
     np.testing.assert_allclose(ratios, [0.85, 0.92, 0.67, 0.95, 0.83, 0.96], atol=0.011)
     refitted = compare(result.model, unseen[:1], reference, refit_initial=True)
     assert max(one.ratio for one in refitted) < 1.2
@@ -69,7 +69,7 @@ def test_friction_under_drive_is_better_than_the_published_one():
     pooled = compare(result.model, unseen, reference)[-2:]
     assert [(one.run, one.pooled) for one in pooled] == [("all 20", True)] * 2
     assert max(one.ratio for one in pooled) < 0.9
-    # The windows' own initial states are near what was recorded.
+    # The estimated initial states of the windows are near the recorded ones.
     for run, record in zip(ready.runs, result.runs, strict=True):
         for joint in (1, 2):
             own = record.parameters[f"initial.angle[{joint - 1}]"].value

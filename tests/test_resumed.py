@@ -1,11 +1,11 @@
-"""What version 0.1.0 wrote is read, and what it left half done is ended, with the same numbers.
+"""Files of version 0.1.0 can be read, and its unfinished work is completed with equal numbers.
 
-`earlier/make.py` made the files, with the code of that version, and says how. The numbers were the
-same bit for bit there; other processors, libraries and settings of the compiler (those of these
-tests, too) compute other last digits, and a fit of an arm may end a step earlier. So numbers may
-differ here by `NEAR` of themselves or of a standard error, those of arms by `NEAR_OF_ARM`; what a
-file has kept is the same exactly. `earlier/make.py again` fits all results again without the
-settings of tests, and says whether a bit differs.
+`earlier/make.py` describes how the files were made with the code of that version. On that machine,
+the numbers were equal bit for bit. Other processors, libraries and compiler settings (including
+those of these tests) change the last digits, and a fit of an arm may end a step earlier. Therefore,
+numbers may differ by `NEAR` times their value or standard error, those of arms by `NEAR_OF_ARM`.
+Numbers that are kept in a file must be equal. `earlier/make.py again` repeats all fits without the
+settings of the tests, and reports whether any bit differs.
 """
 
 import json
@@ -29,7 +29,7 @@ RESULTS = sorted(path.name for path in (EARLIER / "results").iterdir())
 KEYS = json.loads((EARLIER / "keys.json").read_text())
 NEAR = 1e-6
 NEAR_OF_ARM = 1e-2
-# What says something in words, which may be better now.
+# Keys with sentences, whose wording may have improved.
 SENTENCES = {"advice", "conditions", "message", "notes", "remark", "sentence", "warnings"}
 
 
@@ -38,13 +38,13 @@ def record(path):
 
 
 def assert_near(now, before, near=NEAR, at="", size=None):
-    """The same, but for the last digits of numbers.
+    """Check that data are equal, apart from the last digits of numbers.
 
     Arguments:
-        now, before: what JSON gives.
-        near: by how much of themselves, or of a standard error, numbers may differ.
-        at: where in the whole they are.
-        size: the standard error of the estimates, where there is one.
+        now, before: data read from JSON.
+        near: allowed difference of numbers, relative to their value or standard error.
+        at: path within the whole data.
+        size: standard error of the estimates, if there is one.
     """
     if isinstance(before, dict):
         assert isinstance(now, dict), at
@@ -64,13 +64,13 @@ def assert_near(now, before, near=NEAR, at="", size=None):
 
 
 def near_of(name):
-    """How near the numbers of a study must be."""
+    """Return the allowed relative difference for a study."""
     return NEAR_OF_ARM if name.endswith("_of_arm") else NEAR
 
 
 @pytest.fixture
 def home(tmp_path, monkeypatch):
-    """A function that copies a study here."""
+    """Return a function that copies a study to a temporary folder."""
     monkeypatch.chdir(tmp_path)
 
     def begin(name):
@@ -80,7 +80,7 @@ def home(tmp_path, monkeypatch):
 
 
 class Counting(InProcess):
-    """Counts what is done."""
+    """An executor that counts its tasks."""
 
     def __init__(self):
         self.keys = []
@@ -91,10 +91,10 @@ class Counting(InProcess):
 
 
 class Watched:
-    """The files of tasks in a folder: those that were there stay, and those of `tasks.json` come.
+    """The task files in a folder: existing ones are kept, and those of `tasks.json` are added.
 
-    A file is written by who does the task, with the time that it took: one that is as it was is
-    of a task that was not done again.
+    A file contains the time that its task took, so an unchanged file shows that the task was not
+    repeated.
     """
 
     def __init__(self, folder):
@@ -114,7 +114,7 @@ class Watched:
         assert done
 
 
-# What was written.
+# Finished results.
 
 
 @pytest.mark.parametrize("name", RESULTS)
@@ -123,7 +123,7 @@ def test_results_are_read(name):
     before, result = record(folder / "result.json"), load_result(folder)
     again = json.loads(result.to_json())
     assert_near(again, before)
-    # Which no version then knew.
+    # Facts that version 0.1.0 did not store.
     for estimate in again["parameters"].values():
         assert estimate.pop("noise_error") is None
     for run in again["runs"]:
@@ -137,7 +137,7 @@ def test_results_are_read(name):
 
 @pytest.mark.parametrize("name", RESULTS)
 def test_keys_and_seeds_are_those_of_then(name):
-    """Wherever the classes lie now: of a model, and of a fit with its run."""
+    """They do not depend on the modules of the classes: for a model, and for a fit with its run."""
     folder = EARLIER / "results" / name
     result = load_result(folder / "fit")
     about = {"model": result.model}
@@ -148,7 +148,7 @@ def test_keys_and_seeds_are_those_of_then(name):
         assert [task.key, task.own_seed] == KEYS[f"{what} of {name}"]
 
 
-# What takes longest is for before a release; each part of those two is in another result, too.
+# These take longest and run only before a release. Other results contain the same parts.
 LONG = ("several", "contact")
 
 
@@ -168,10 +168,10 @@ def test_results_are_repeated(name, tmp_path, monkeypatch):
     assert main(words) == (0 if before["status"] == "converged" else 1)
     after = record("again/result.json")
     assert after["status"] == before["status"]
-    # That is `link_pressure_kPa` now, whose default value is the 1.0 that stood there.
+    # The key is now `link_pressure_kPa`, whose default equals the 1.0 in that file.
     before["config"]["definition"].get("arm", {}).pop("contact_pressure_kPa", None)
     assert after["config"] == before["config"]
-    before["parameters"].pop("contact.pressure", None)  # It was fixed, as `links.pressure` is.
+    before["parameters"].pop("contact.pressure", None)  # fixed, like `links.pressure` now
     assert_near(after["parameters"], before["parameters"], NEAR_OF_ARM)
     for one, other in zip(after["runs"], before["runs"], strict=True):
         assert_near(one["channels"], other["channels"], NEAR_OF_ARM)
@@ -210,7 +210,7 @@ def test_runs_that_commands_wrote_are_read():
 
 @pytest.mark.slow
 def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
-    """The design is left out: it is a search, whose way the last digits decide."""
+    """The design is omitted, because the path of its search depends on the last digits."""
     written = EARLIER / "written"
     monkeypatch.chdir(tmp_path)
     shutil.copytree(written, tmp_path, dirs_exist_ok=True)
@@ -220,7 +220,7 @@ def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
     }
     for path, command in commands.items():
         assert main([*command.split(), "--force"]) == 0
-        # Tests optimise programs less than commands do, which rounds otherwise.
+        # The compiler optimises less in tests than in commands, so rounding differs.
         assert_near(record(f"again/{Path(path).name}"), record(path), near=1e-5)
     words = "drive drive/arm.toml --replay drive/pad.csv --noise position_m=0.01 --to again.csv"
     assert main(words.split()) == 0
@@ -229,7 +229,7 @@ def test_other_commands_write_the_same_again(tmp_path, monkeypatch):
         np.testing.assert_allclose(values, before.values[name], rtol=NEAR, atol=1e-8)
 
 
-# What was half done.
+# Unfinished work.
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ def test_a_journal_is_gone_on_with(home, capsys, name, words):
     assert main(["fit", "--resume", "fit", "--no-figures", "--no-suspects"]) in (0, 1)
     said = capsys.readouterr().err
     assert "continuing from the end of fit/journal.jsonl" in said
-    # The steps that are shown are those that were done now.
+    # Only steps that were taken now are shown.
     words = [line.split() for line in said.splitlines()]
     steps = [int(each[0]) for each in words if each and each[0].isdigit()]
     if name == "journal_of_starts":
@@ -260,11 +260,11 @@ def test_a_journal_is_gone_on_with(home, capsys, name, words):
     for each in (before, after):
         del each["seconds"], each["task"], each["versions"]
     if name.endswith("_of_arm"):
-        # How many steps it takes to the same end is not the same for other last digits.
+        # The number of steps to the same end depends on the last digits.
         for each in (before, after):
             for key in ("history", "iterations", "message", "gradient_check", "tolerance_effect"):
                 del each[key]
-        # Its sidecar names no preset, which version 0.1.0 did not say.
+        # Its sidecar names no preset, which version 0.1.0 did not report.
         assert "names no preset" in after["conditions"].pop()
     assert_near(after, before, near_of(name))
 
@@ -274,7 +274,7 @@ def test_starts_are_gone_on_with(home, name):
     home(name)
     watched = Watched("half/starts")
     before = record("whole/result.json")
-    # No version then knew what is always uncertain.
+    # Version 0.1.0 had no nuisance parameters.
     task = FitTask.load("run_fit.toml").on_top(starts=5, seed=2, nuisances=False)
     ready = task.prepare()
     result = ready.run(executor=watched.executor, folder="half/starts")
@@ -297,7 +297,7 @@ def test_a_sweep_is_gone_on_with(home):
         assert [v for v, is_kept in zip(after[name], kept, strict=True) if is_kept] == exact, name
         if name not in {"seconds", "worker", *SENTENCES}:
             assert_near(after[name], column, at=name)
-    # The table of then is one of this plan, or it would not be written over.
+    # The previous table belongs to this plan; otherwise it would not be overwritten.
     shutil.copytree("half/fits", "whole/fits")
     executor = Counting()
     assert giajax.sweep("plan.toml", out="whole", executor=executor).equals(table)
@@ -305,7 +305,7 @@ def test_a_sweep_is_gone_on_with(home):
 
 
 def study(name, result, runs, **how):
-    """As `earlier/make.py` asked for it."""
+    """Run a study as `earlier/make.py` did."""
     match name:
         case "profile":
             return giajax.profile(result, runs, **how)

@@ -1,4 +1,4 @@
-"""What a notebook and `rich` show of runs, arms and models."""
+"""Displays of runs, arms and models in notebooks and with `rich`."""
 
 import io
 import re
@@ -20,7 +20,7 @@ def printed(thing):
 
 
 def cells(thing):
-    """Rows of the table, as text of HTML."""
+    """Return the rows of the table, as HTML text."""
     rows = re.findall(r"<tr>(.*?)</tr>", thing._repr_html_())
     return [re.findall(r"<t[dh]>(.*?)</t[dh]>", row) for row in rows]
 
@@ -75,7 +75,7 @@ def test_an_arm_shows_what_it_is_and_what_is_free():
     assert rows["mass"].startswith("0.75 kg")
     assert rows["joints"] == "1 pitch, 1 yaw, 1 other"
     assert rows["joint laws"] == "Spring, Damper, Hardening"
-    assert rows["drag"] == "CentreDrag, C_D 0.9, in air of 1.204 kg/m^3"
+    assert rows["drag"] == "CentreDrag, C_D 0.9, in air of density 1.204 kg/m^3"
     assert rows["also"] == "-"
     assert "air.drag_coefficient 0.9; " in f"{rows['free']}; "
     assert dict(cells(ArmModel(arm))) == rows

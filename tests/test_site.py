@@ -1,4 +1,4 @@
-"""What makes the site of the documentation, and the site itself where `make docs` has built it."""
+"""The generator of the documentation site, and the site itself if `make docs` has built it."""
 
 import inspect
 import re
@@ -29,7 +29,7 @@ def test_every_picture_is_drawn_here_shown_and_small():
 
 @pytest.mark.quick
 def test_every_picture_of_the_gallery_has_the_command_that_draws_it():
-    """That the commands are understood is asked of every page in test_readme.py."""
+    """test_readme.py checks the commands of every page."""
     shown = pictures.shown()
     assert len(shown) >= 20
     for name, lines in shown.items():
@@ -38,14 +38,14 @@ def test_every_picture_of_the_gallery_has_the_command_that_draws_it():
             assert lines == [f"python -m docs.machinery.pictures {name}"]
         else:
             assert all(line.startswith("giajax ") for line in lines), name
-            # The last writes the picture into the folder of its result.
+            # The last command writes the picture to the folder of its result.
             out, comment, file = words[-3:]
             assert (comment, file.rpartition("/")[0]) == ("#", out.removeprefix("giajax-out/")), (
                 name
             )
 
 
-# Commands that take seconds; the others are run before a release.
+# Commands that take seconds; the others run before a release.
 DRAWN = [
     "fig5.png",
     "joint.png",

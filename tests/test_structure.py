@@ -1,6 +1,6 @@
-"""The shape of the source: imports between rooms and files, and what knows the kinds of models.
+"""The structure of the source: imports between packages and files, and uses of model kinds.
 
-Everything here is read from the text of the files; nothing of giajax is imported.
+Everything is read from the text of the files; giajax is not imported.
 """
 
 import ast
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.quick
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "giajax"
 
-# The rooms from the top: each imports those below it alone.
+# The packages from top to bottom: each imports only those below it.
 ROOMS = (
     "__main__",
     "cli",
@@ -50,9 +50,9 @@ def parsed(path):
 
 
 def imported(path, tree):
-    """Names of modules that a file imports, within functions and for types too, each in full.
+    """Return the full names of modules that a file imports, including local and type imports.
 
-    Of `from giajax import fitting` both `giajax` and `giajax.fitting` count.
+    `from giajax import fitting` counts as both `giajax` and `giajax.fitting`.
     """
     package = ["giajax", *path.relative_to(SOURCE).parent.parts]
     for node in ast.walk(tree):
@@ -70,7 +70,7 @@ def room_of(path):
 
 
 def module_of(path):
-    """The name of the module that a file is."""
+    """Return the module name of a file."""
     parts = path.relative_to(SOURCE.parent).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -79,14 +79,14 @@ MODULES = {module_of(path) for path in SOURCE.rglob("*.py")}
 
 
 def modules_imported(path):
-    """Modules of giajax that a file imports; of a package and a module in it, the module."""
+    """Return the giajax modules that a file imports; a module within a package, not the package."""
     names = [name for name in imported(path, parsed(path)) if name in MODULES]
     inner = {name.rpartition(".")[0] for name in names}
     return {name for name in names if name not in inner} - {module_of(path)}
 
 
 def rooms_imported(path):
-    """Pairs of a room of giajax, other than the file's own, and the module in it."""
+    """Return pairs of a giajax package, other than the file's own, and the module in it."""
     for module in modules_imported(path):
         room = [*module.split("."), "__init__"][1]
         if room != room_of(path):
@@ -99,7 +99,7 @@ def test_every_room_has_its_place():
 
 
 def test_no_room_imports_upwards():
-    """Nor the face of the whole package, which imports all of them."""
+    """This includes the top-level package, which imports all others."""
     upwards = {
         f"{named(path)} imports {module}"
         for path in files()
@@ -111,7 +111,7 @@ def test_no_room_imports_upwards():
 
 
 def named_in_text(tree):
-    """Modules of giajax that are imported by a name that is text."""
+    """Return the giajax modules that are imported by a name in a string."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
             name = node.func.id if isinstance(node.func, ast.Name) else node.func.attr
@@ -121,18 +121,18 @@ def named_in_text(tree):
 
 
 def test_one_room_is_imported_upwards_when_it_is_called():
-    """What draws a result, by the record of it (docs/architecture.md)."""
+    """The function that draws a result, given in its record (docs/architecture.md)."""
     found = [
         (named(path), module)
         for path in files()
-        if path.name != "aliases.py"  # of the earlier names
+        if path.name != "aliases.py"  # imports former names
         for module in named_in_text(parsed(path))
     ]
     assert found == [("src/giajax/fitting/_result.py", "giajax.report")]
 
 
 def test_no_files_import_in_a_circle():
-    """Neither where they are imported, nor within functions or for types."""
+    """Neither at the top level, nor within functions or for types."""
     graph = {module_of(path): modules_imported(path) for path in SOURCE.rglob("*.py")}
     try:
         graphlib.TopologicalSorter(graph).prepare()
@@ -141,7 +141,7 @@ def test_no_files_import_in_a_circle():
 
 
 def test_private_modules_stay_in_their_package():
-    """A private module is imported by the modules beside it, and by those in folders below."""
+    """A private module is imported only by modules next to it and in subfolders."""
     offenders = set()
     for path in files():
         for module in modules_imported(path):
@@ -153,7 +153,7 @@ def test_private_modules_stay_in_their_package():
 
 
 def model_kinds():
-    """Classes of the room of models that follow its protocol, and the protocol itself."""
+    """Return the classes of the models package that follow its protocol, and the protocol."""
     classes = {
         node.name: {base.id for base in node.bases if isinstance(base, ast.Name)}
         for path in (SOURCE / "models").glob("*.py")
@@ -167,7 +167,7 @@ def model_kinds():
 
 
 def names_in(node):
-    """The last part of every name within an expression: of `models.ArmModel`, ArmModel."""
+    """Return the last part of every name in an expression: ArmModel for `models.ArmModel`."""
     for part in ast.walk(node):
         if isinstance(part, ast.Name):
             yield part.id
@@ -176,7 +176,7 @@ def names_in(node):
 
 
 def kinds_asked_for(tree):
-    """Classes that `isinstance`, `issubclass` or a pattern of `match` ask for, by line."""
+    """Return classes in `isinstance`, `issubclass` or a `match` pattern, by line."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             if node.func.id in ("isinstance", "issubclass") and len(node.args) == 2:
@@ -230,7 +230,7 @@ def later():
 
 
 def test_the_reading_sees_what_it_must():
-    """Imports of every form, and every form of asking for a class."""
+    """Imports in all forms, and tests for a class in all forms."""
     tree = ast.parse(SAMPLE)
     reading = set(imported(SOURCE / "studies" / "_sample.py", tree))
     assert reading == {

@@ -1,4 +1,4 @@
-"""What the arm alone tells of the corrections of its joints, of which a bench tells each."""
+"""Corrections of the joints from the arm alone, which a test bench determines separately."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ WHOLE = Path(__file__).parents[1] / "fits" / "whole_arm.toml"
 
 @pytest.mark.long
 def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined(tmp_path):
-    """Beta is a fall, so that its curvature adds to that of alpha."""
+    """Beta decreases with the angle, so its curvature adds to that of alpha."""
     task = FitTask.load(WHOLE)
     arm, _, loop = task.data
     result = task.on_top(data=[arm, loop]).run(check=False)
@@ -28,7 +28,7 @@ def test_without_the_bench_only_the_difference_of_alpha_and_beta_is_determined(t
     assert error < 0.03
     assert result.parameters["drive.passive_stiffness"].sources["whole_loop"] > 3
     assert result.parameters["air.drag_coefficient"].sources["whole_arm"] is None
-    # The bench measures torques, so that the scale of all forces is known.
+    # The bench measures torques, which determine the scale of all forces.
     assert not any("per unit of mass" in sentence for sentence in result.conditions)
     path = tmp_path / "result.json"
     path.write_text(result.to_json())

@@ -1,4 +1,4 @@
-"""Phrases that pages, helps and messages avoid, each with its replacement (`docs/writing.md`)."""
+"""Phrases to avoid in pages, help texts and messages, with replacements (`docs/writing.md`)."""
 
 import ast
 import re
@@ -30,15 +30,15 @@ PHRASES = [
     (re.compile(rf"\b(?:{phrase})" + r"\b" * (phrase[-1] != ")"), re.IGNORECASE), instead)
     for phrase, instead in REPLACEMENTS.items()
 ]
-# This page quotes what to replace; names of an earlier version and of paths stay.
+# This page quotes the phrases, and former names and paths cannot change.
 QUOTES = {"writing.md", "aliases.py", "identities.py"}
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 
 
 def phrases_in(text):
-    """Each phrase to replace, with the line of the text that it is in."""
-    # A phrase may be broken over two lines.
+    """Return each phrase to replace, with its line in the text."""
+    # A phrase may be split over two lines.
     joined = re.sub(r"\s", " ", text)
     return [
         (text.count("\n", 0, match.start()), f"{match[0]!r}: write {instead}")
@@ -48,7 +48,7 @@ def phrases_in(text):
 
 
 def phrases_of(path):
-    """The phrases of a page, or of the strings of a module: helps, messages and docstrings."""
+    """Return the phrases of a page, or of the strings of a module, including docstrings."""
     text = path.read_text()
     if path.suffix == ".md":
         return [(line + 1, what) for line, what in phrases_in(text)]
@@ -60,13 +60,13 @@ def phrases_of(path):
     ]
 
 
-# Templates that are filled by `format`, patterns, and lines of a file of styles.
+# Templates for `format`, patterns, and lines of a style file.
 _TEMPLATES = {"_fit.py", "_foreign.py", "_arm_figures.py", "_tracker.py", "_simulate.py"}
 _NAMED = re.compile(r"\{_?[a-zA-Z_][\w.]*(:[^{}]*)?\}|\{[^{}]*\w\([^{}]*\)[^{}]*\}")
 
 
 def test_no_message_lost_its_f():
-    """A string with the name of a value in braces is formatted."""
+    """A string with the name of a value in braces must be an f-string."""
     found = []
     for path in SOURCES:
         tree = ast.parse(path.read_text())

@@ -1,4 +1,4 @@
-"""A model that is no arm: what a fit needs is the protocol, nothing else."""
+"""A model that is not an arm; a fit requires only the protocol."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, Self
@@ -15,7 +15,7 @@ TRUTH = {"amplitude": 2.0, "decay": 0.7, "offset": 0.3}
 
 
 class Plain(AbstractModel):
-    """In closed form, and made from its parameters alone."""
+    """A closed-form model that is built from its parameters alone."""
 
     def definition(self) -> dict[str, Any]:
         return {}
@@ -25,7 +25,7 @@ class Plain(AbstractModel):
 
 
 class Decay(Plain):
-    """tip_z = amplitude exp(-decay t) + offset; `idle` and `twin` are traps for a fit."""
+    """tip_z = amplitude exp(-decay t) + offset; `idle` and `twin` are difficult for a fit."""
 
     kind: ClassVar[str] = "decay"
 
@@ -43,7 +43,7 @@ class Decay(Plain):
 
     def predict(self, inputs: Array, channels: tuple[str, ...]) -> tuple[Channels, Array]:
         height = self.twin * self.amplitude * jnp.exp(-self.decay * inputs) + self.offset
-        # Beyond this the "simulation" fails, as a stiff chain does at its step limit.
+        # Beyond this, the "simulation" fails, like that of a stiff chain at its step limit.
         failed = self.decay > 8
         height = jnp.where(failed, jnp.nan, height)
         return dict.fromkeys(channels, height), ~failed
@@ -53,13 +53,13 @@ class Decay(Plain):
 
 
 def height(times: np.ndarray, **changed: float) -> np.ndarray:
-    """The closed form, by numpy."""
+    """Return the closed form, by NumPy."""
     values = {**TRUTH, **changed}
     return values["amplitude"] * np.exp(-values["decay"] * times) + values["offset"]
 
 
 def run(*, sigma: float = 0.01, seed: int = 0, samples: int = 60, state_noise: bool = True) -> Run:
-    """A noisy recording of the truth."""
+    """Simulate a noisy recording of the true model."""
     times = np.linspace(0.0, 4.0, samples)
     noise = np.random.default_rng(seed).normal(scale=sigma, size=samples)
     return Run.from_arrays(

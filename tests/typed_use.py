@@ -1,6 +1,6 @@
-"""What a type checker must see of the public names: `make types` reads this, and nothing runs it.
+"""Types of the public names: `make types` checks this file, and nothing runs it.
 
-Each ignored error is one that must be seen: an ignore that is not needed fails.
+Each ignored error must be detected, because mypy reports an unnecessary ignore.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""`python -m benchmarks.bench`: measure, print, store, and compare with what is stored."""
+"""`python -m benchmarks.bench`: measure, print, store, and compare with the stored ratios."""
 
 import datetime
 import os
@@ -27,7 +27,7 @@ PACKAGES = ("giajax", "jax", "diffrax", "equinox", "mujoco", "casadi", "numpy", 
 
 
 def measure(quick: bool, console: Console) -> dict[str, Any]:
-    """All measurements; `quick` is a short arm, once."""
+    """Run all measurements; `quick` uses a short arm and measures once."""
     links, seconds, repeats = (3, 2.0, 1) if quick else (20, 25.0, 9)
     loop = 200 if quick else 20_000
     load = os.getloadavg()[0]
@@ -87,7 +87,7 @@ def _versions() -> dict[str, str | None]:
 
 
 def main() -> int:
-    """Returns the exit status: 1 where a ratio that is stored has fallen."""
+    """Run the benchmark; return exit status 1 if a ratio has decreased since it was stored."""
     arguments = command_line(
         benchmarks.bench.__doc__,
         RESULTS / "bench.json",

@@ -1,4 +1,4 @@
-"""Many evaluations at once, on two cores: processes of giajax beside threads of MuJoCo."""
+"""Many evaluations at once on two cores: processes of giajax and threads of MuJoCo."""
 
 import multiprocessing
 import os
@@ -16,7 +16,7 @@ from peers.arms import driven_arm, random_states
 from peers.mujoco_c import MujocoInC
 
 ITEMS, CORES = 256, 2
-# One, chosen beforehand: the least of several would have more draws than the other side.
+# The layout is fixed, because the least of several would favour giajax by having more samples.
 LAYOUT = "chunks of 64"
 
 
@@ -26,7 +26,7 @@ def batch(
     loop: int,
     engine: MujocoInC | None,
 ) -> dict[str, Any]:
-    """Seconds of an evaluation of one item, by who makes it and how."""
+    """Measure the seconds per evaluation of one item, by program and layout."""
     calls: dict[str, Callable[[], object]] = {}
     if engine is not None:
         states = _states(links, 0, 1)
@@ -42,7 +42,7 @@ def batch(
 
 
 def _states(links: int, share: int, shares: int) -> dict[str, Any]:
-    """A share of the states."""
+    """Return one of `shares` equal parts of the states."""
     states = random_states(links, ITEMS)
     states.pop("wind")
     return {name: value[share::shares] for name, value in states.items()}
@@ -50,7 +50,7 @@ def _states(links: int, share: int, shares: int) -> dict[str, Any]:
 
 @contextmanager
 def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object]]:
-    """A process for each core, which computes its share whenever it is asked to."""
+    """Start a process for each core; the yielded function makes each compute its share once."""
     context = multiprocessing.get_context("spawn")
     ours, processes = [], []
     for share in range(CORES):
@@ -59,7 +59,7 @@ def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object
             target=_work, args=(there, links, share, layout, loop), daemon=True
         )
         process.start()
-        # The end of a process is seen once nobody else holds its end of the pipe.
+        # Close this copy, so the end of the process closes the last copy of its end of the pipe.
         there.close()
         ours.append(here)
         processes.append(process)
@@ -80,7 +80,7 @@ def _workers(links: int, layout: str, loop: int) -> Iterator[Callable[[], object
 
 
 def _work(asked: Connection, links: int, share: int, layout: str, loop: int) -> None:
-    # On a core of its own: XLA and BLAS then have one thread in each process, as MuJoCo has.
+    # Bind each process to one core. XLA and BLAS then use one thread in each, like MuJoCo.
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[share % len(cores)]})

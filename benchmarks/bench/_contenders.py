@@ -1,4 +1,4 @@
-"""Who takes part: the path of the tip, and its derivatives, for one tolerance or step."""
+"""The contenders: path of the tip and its derivatives, for a given tolerance or step."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,13 +21,14 @@ MINE = "giajax springs5"
 
 @dataclass(frozen=True)
 class Contender:
-    """One way to the path of the tip.
+    """A method that computes the path of the tip.
 
     Arguments:
-        tip: its path, shape (sample, 3), for a setting.
-        settings: from coarse to fine: tolerances, or steps in s.
-        jacobian: its derivatives by the parameters, shape (sample, 3, parameter), with the path
-            itself computed on the way; None where nobody would ask for them.
+        tip: returns the path, shape (sample, 3), for a setting.
+        settings: tolerances, or steps in s, from coarse to fine.
+        jacobian: returns the derivatives with respect to the parameters, shape
+            (sample, 3, parameter), and computes the path, too; None for methods that are
+            not differentiated.
         steps: whether the settings are steps.
     """
 
@@ -37,7 +38,7 @@ class Contender:
     steps: bool = False
 
     def named(self, setting: float) -> str:
-        """The setting in words."""
+        """Return the setting in words."""
         return f"step {setting * 1e3:.1f} ms" if self.steps else f"tolerance {setting:.1e}"
 
 
@@ -58,7 +59,7 @@ def giajax_tip_and_jacobian(values: Any, problem: Any, tolerance: Any, solver: s
 
 
 def contenders(problem: Problem, quick: bool) -> dict[str, Contender]:
-    """All that this machine has, by name; `quick` leaves out some of what takes long."""
+    """Return the contenders that this machine has, by name; `quick` omits some slow ones."""
     solvers = ("springs5",) if quick else ("springs5", "tsit5")
     methods = ("RK45",) if quick else ("RK45", "DOP853", "LSODA")
     return {
@@ -83,7 +84,7 @@ def _giajax(problem: Problem, solver: str) -> Contender:
 
 
 def _mujoco(problem: Problem) -> dict[str, Contender]:
-    """Its RK4 with drag in C, and in Python, as a user without a compiler adds it."""
+    """Return MuJoCo's RK4 with drag in C, and with drag in Python for users without a compiler."""
 
     def slow_tip(step: float) -> np.ndarray:
         states = MujocoChain(problem.arm, problem.command).trajectory(problem.times, step)
@@ -98,10 +99,10 @@ def _mujoco(problem: Problem) -> dict[str, Contender]:
         return engine.ends(problem.times, step)[:, -1]
 
     def jacobian(step: float) -> np.ndarray:
-        # Steps of one length are a smooth function: small differences to one side are enough.
+        # With fixed steps, the result is a smooth function, so small one-sided differences suffice.
         return differences(lambda x: tip(step, x), problem.values, 1e-6, tip(step))
 
-    # Both take the same steps: what is too coarse for the one need not be tried with the other.
+    # Both take the same steps, so a step that is too coarse for one is too coarse for the other.
     fine = [step for step in STEPS if step <= problem.coarsest(tip, STEPS)[0]]
     return {
         "MuJoCo, drag in C": Contender(tip, fine, jacobian, steps=True),
@@ -110,7 +111,7 @@ def _mujoco(problem: Problem) -> dict[str, Contender]:
 
 
 def _casadi(problem: Problem) -> dict[str, Contender]:
-    """Generated C, and CasADi's forward mode."""
+    """Return the generated C code with each method, with derivatives in CasADi's forward mode."""
     code = problem.casadi
     if code is None:
         return {}
@@ -134,7 +135,7 @@ def _scipy(problem: Problem, method: str) -> Contender:
         return problem.numpy.tip(chain.trajectory(problem.times, **options)[:, 0])
 
     def jacobian(tolerance: float) -> np.ndarray:
-        # Below a hundredth the steps that the solver takes otherwise are seen, not the parameter.
+        # Smaller differences are dominated by changes in the steps that the solver takes.
         return differences(lambda x: tip(tolerance, x), problem.values, 1e-2)
 
     return Contender(tip, TOLERANCES[::4], jacobian)
@@ -143,7 +144,7 @@ def _scipy(problem: Problem, method: str) -> Contender:
 def differences(
     tip: Callable[[Any], np.ndarray], values: Any, step: float, here: Any = None
 ) -> np.ndarray:
-    """Derivatives by differences of a relative size: to one side of `here`, else to both."""
+    """Return derivatives by relative differences: one-sided from `here` if given, else central."""
     columns = []
     for index, value in enumerate(values):
         forth, back = (np.array(values) for _ in range(2))

@@ -18,7 +18,7 @@ from peers.scipy_chain import ScipyChain
 
 @program
 def again_and_again(arm: Arm, state: dict[str, Any], loop: Any) -> Any:
-    """`loop` evaluations, each of which needs the one before: none may be left out."""
+    """Compute `loop` evaluations, each of which depends on the previous one, so none is omitted."""
 
     def again(_: Any, angles: Any) -> Any:
         return angles + 1e-9 * acceleration(arm, angles, state["rates"], state["command"])
@@ -27,7 +27,7 @@ def again_and_again(arm: Arm, state: dict[str, Any], loop: Any) -> Any:
 
 
 def evaluation(links: int, repeats: int, loop: int, generated: Any = None) -> dict[str, Any]:
-    """Seconds of one evaluation; `generated` is the chain in C by CasADi, where it takes part."""
+    """Measure the seconds of one evaluation; `generated` is the chain in C by CasADi, or None."""
     arm, _ = driven_arm(links)
     state = {name: value[0] for name, value in random_states(links, 1).items() if name != "wind"}
     numbers = {name: np.asarray(value) for name, value in state.items()}
@@ -56,7 +56,7 @@ def evaluation(links: int, repeats: int, loop: int, generated: Any = None) -> di
         loops["MuJoCo, drag in C"] = loop
         calls["MuJoCo, drag in C"] = lambda: compiled.evaluations(**numbers, loop=loop)
     except CompilerError:
-        pass  # Said where the run is measured.
+        pass  # the measurement of the run reports this
     return {
         name: {key: value / loops[name] for key, value in each.items()}
         for name, each in in_turns(calls, repeats).items()

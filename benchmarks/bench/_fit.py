@@ -1,9 +1,9 @@
-"""The whole fit by others: MuJoCo's own optimiser and scipy's, from the same start.
+"""The whole fit by the optimisers of MuJoCo and scipy, from the same initial guess.
 
-They minimise the same squares over the same samples. MuJoCo's optimiser is the one behind
-`mujoco.sysid.optimize`, called as that calls it: the toolbox's parameters are entries of an MJCF
-file, among which there is no such drag, so a residual of the user's own takes the place of its
-rollouts, here MuJoCo with drag in C.
+All optimisers minimise the same sum of squares over the same samples. MuJoCo's optimiser is the one
+that `mujoco.sysid.optimize` calls, and it is called in the same way. The parameters of that toolbox
+are entries of an MJCF file, which has no drag of this kind. The residual function of the toolbox is
+therefore replaced by one that simulates MuJoCo with drag in C.
 """
 
 import inspect
@@ -23,10 +23,10 @@ from peers.compiling import CompilerError
 from peers.mujoco_c import MujocoInC
 from peers.plain_arm import PARAMETERS
 
-NOISE = 0.02  # m, as the sidecar states
-STEP = 0.02  # s; divides the samples of the run, and keeps the tip within the accuracy
-CLOSE = 0.01  # standard errors: an optimum that far off is the same
-UNSTABLE = 1e3  # the residual of a run that ends early
+NOISE = 0.02  # m, as in the sidecar
+STEP = 0.02  # s; divides the sampling interval and keeps the tip within the accuracy
+CLOSE = 0.01  # largest distance of two equal optima, in standard errors
+UNSTABLE = 1e3  # residual of a run that diverges
 MINE = "giajax"
 
 Residual = Callable[[np.ndarray], np.ndarray]
@@ -34,15 +34,15 @@ Minimise = Callable[[Residual, np.ndarray], np.ndarray]
 
 
 def fits(run: Run, repeats: int) -> dict[str, Any]:
-    """Seconds of each fit, runs of the arm that it took, and how far off it ends.
+    """Measure the seconds and runs of each fit, and the distance of its end from the optimum.
 
     Arguments:
-        run: the recording, from rest: joint 1 is commanded, centres of links are measured.
-        repeats: how often each is measured.
+        run: recording from rest; joint 1 is commanded, centres of links are measured.
+        repeats: number of measurements of each fit.
     """
     model = model_for([run])
-    # No look at the gradient and at the noise, nor at what is always uncertain: the others do not
-    # look at them, either.
+    # Skip the gradient check, the noise model and the nuisance parameters, because the other
+    # optimisers do not compute them.
     mine: Callable[..., FitResult] = partial(
         fit, model, run, start=START, check=False, noise_model="white", nuisances=False
     )
@@ -73,12 +73,12 @@ def fits(run: Run, repeats: int) -> dict[str, Any]:
 
 
 def base_step() -> Run:
-    """The recording that ships with giajax."""
+    """Read the recording that is part of giajax."""
     return read_run(RUN)
 
 
 def small_run() -> Run:
-    """A short one of three links, made by giajax: whether all of this runs."""
+    """Simulate a short recording of three links, for a test of the benchmark."""
     times = np.linspace(0.0, 4.0, 41)
     still: dict[str, Any] = {
         "joint01_command": np.interp(times, [0.5, 1.0], [0.0, 0.5]),
@@ -94,12 +94,12 @@ def small_run() -> Run:
 
 
 class Peer:
-    """The residuals of a recording, of the free parameters, and who makes them small.
+    """Another optimiser with the residuals of a recording as a function of the free parameters.
 
     Arguments:
         run: the recording.
-        ends: ends of the links at the samples for values of `PARAMETERS`.
-        result: of giajax: which parameters the recording determines, and the values of the rest.
+        ends: returns the ends of the links at the samples, given values of `PARAMETERS`.
+        result: giajax result, which gives the identifiable parameters and the values of the rest.
         minimise: the optimiser.
     """
 
@@ -119,13 +119,13 @@ class Peer:
         self.runs = 0
 
     def fit(self) -> dict[str, float]:
-        """Estimates from the start."""
+        """Return the estimates, starting from the initial guess."""
         self.runs = 0
         start = np.array([START[path] for path in self._free])
         return dict(zip(self._free, self._minimise(self.residual, start).tolist(), strict=True))
 
     def residual(self, values: np.ndarray) -> np.ndarray:
-        """Of one set of values, in standard deviations of the noise."""
+        """Return the residuals, divided by the standard deviation of the noise."""
         self.runs += 1
         parameters = self._held | dict(zip(self._free, values.tolist(), strict=True))
         try:
@@ -138,7 +138,7 @@ class Peer:
 
 
 def _peers(run: Run, model: Any, result: FitResult) -> dict[str, Peer]:
-    """Each optimiser over each arm that this machine has."""
+    """Return each optimiser with the simulation that this machine can compile."""
     assert run.times is not None
     times = run.times
     columns = np.zeros((len(times), model.arm.count))
@@ -160,20 +160,20 @@ def _peers(run: Run, model: Any, result: FitResult) -> dict[str, Peer]:
 
 
 def _scipy(residual: Residual, start: np.ndarray) -> np.ndarray:
-    # Of its methods and scales these took the fewest runs of the arm: 28 for 44.
+    # Of scipy's methods and scales, these need the fewest runs of the arm: 28 instead of 44.
     found = least_squares(residual, start, method="lm", x_scale="jac")
     return np.asarray(found.x)
 
 
 def _mujoco(residual: Residual, start: np.ndarray) -> np.ndarray:
-    """As the toolbox calls it: columns of values, differences to one side, within bounds."""
+    """Minimise as the toolbox does: columns of values, one-sided differences, within bounds."""
 
     def columns(values: np.ndarray) -> np.ndarray:
         if values.ndim == 1:
             return residual(values)[:, None]
         return np.stack([residual(column) for column in values.T], axis=1)
 
-    # 119 runs of the arm for 147, where MuJoCo has it.
+    # The scale reduces the runs of the arm from 147 to 119, in the versions of MuJoCo that have it.
     has_scale = "x_scale" in inspect.signature(minimize.least_squares).parameters
     found, _ = minimize.least_squares(
         start,

@@ -1,4 +1,4 @@
-"""The base-step fit as a process of its own, cold and warm."""
+"""The base-step fit as a separate process, with cold and warm caches."""
 
 import json
 import os
@@ -14,15 +14,15 @@ START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 1.2, "joints.dam
 
 
 def processes() -> dict[str, Any]:
-    """The fit from far off, as a cold process and as the next one."""
+    """Run the fit from a distant initial guess as a cold process and as the next process."""
     with tempfile.TemporaryDirectory() as folder:
-        # An empty folder: nothing was compiled before the first of the two processes.
+        # The cache is empty, so the first process compiles everything.
         environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
         return {name: _process(Path(folder) / name, environment) for name in ("cold", "next")}
 
 
 def _process(out: Path, environment: dict[str, str]) -> dict[str, Any]:
-    """`giajax fit` as a process of its own: wall time, peak memory and what it says itself."""
+    """Run `giajax fit` in a separate process; return wall time, peak memory and its own figures."""
     starts = [word for path, value in START.items() for word in ("--start", f"{path}={value}")]
     program = [sys.executable, "-c", "from giajax.cli import main; raise SystemExit(main())"]
     options = ["--data", str(RUN), "--out", str(out), "--quiet", *starts]
@@ -34,7 +34,7 @@ def _process(out: Path, environment: dict[str, str]) -> dict[str, Any]:
     if process.returncode != 0:
         raise RuntimeError(f"giajax fit ended with status {process.returncode}")
     result = json.loads((out / "result.json").read_text())
-    # Linux counts in kB, macOS in bytes.
+    # Linux reports kB, macOS reports bytes.
     unit = 1024**2 if sys.platform == "darwin" else 1024
     return {
         "wall": wall,

@@ -1,11 +1,11 @@
-"""How many times as long as giajax the others take: what can be compared between machines."""
+"""Times of the other programs divided by those of giajax, for comparison between machines."""
 
 from typing import Any
 
 from benchmarks import right_model
 from benchmarks.bench._contenders import MINE
 
-# What is to be held, and at least how large a ratio must be for it.
+# The lower limits of the ratios that have one.
 LIMITS = {
     "run: MuJoCo in C over giajax": 1 / 0.45,
     "run: CasADi over giajax": 1.0,
@@ -20,14 +20,14 @@ LIMITS = {
 
 
 def ratios(found: dict[str, Any]) -> dict[str, float]:
-    """Minima over minima, within this run: another load can only add to a time.
+    """Return ratios of least times within this run, because other load can only increase a time.
 
     Arguments:
-        found: tables of seconds by name: of one `evaluation`, a `run`, its `gradient`, a `batch`
-            and, where they were measured, of `fits`; and the `arms` of `benchmarks.right_model`.
+        found: tables of seconds by name, for one `evaluation`, a `run`, its `gradient`, a `batch`
+            and the `fits`; and the `arms` of `benchmarks.right_model`.
 
     Returns:
-        Ratios by name; a contender that is absent has none. More is better for giajax.
+        Ratios by name, without absent contenders. Larger ratios are better for giajax.
     """
     tables = {
         "evaluation": (found["evaluation"], "giajax"),
@@ -60,18 +60,18 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
 
 
 def least(table: dict[str, Any], prefix: str) -> float | None:
-    """The least seconds of those whose name begins so; None where there is none."""
+    """Return the least seconds of the rows whose name starts with `prefix`; None without any."""
     seconds = [each["min"] for name, each in table.items() if name.startswith(prefix)]
     return min(seconds, default=None)
 
 
 def least_of_mine(table: dict[str, Any], prefix: str) -> float:
-    """The least seconds of giajax, which always takes part."""
+    """Return the least seconds of giajax, which is always measured."""
     seconds = least(table, prefix)
     assert seconds is not None
     return seconds
 
 
 def held(ratios: dict[str, float]) -> dict[str, bool]:
-    """Which of the limits that could be measured are held."""
+    """Return whether each limit with a measured ratio is respected."""
     return {name: ratios[name] >= limit for name, limit in LIMITS.items() if name in ratios}

@@ -1,4 +1,4 @@
-"""The whole run at one accuracy, and its derivatives by four parameters."""
+"""The whole run at one accuracy, and its derivatives with respect to four parameters."""
 
 import time
 from typing import Any
@@ -10,12 +10,12 @@ from benchmarks.bench._contenders import MINE, Contender, contenders
 from benchmarks.bench._problem import Problem
 from benchmarks.measuring import in_turns
 
-# Slower than this times the quickest, a contender is measured once: its place is clear.
+# A contender that is slower than the quickest by this factor is measured once.
 SLOW = 20
 
 
 def run_and_gradient(problem: Problem, repeats: int, quick: bool) -> dict[str, Any]:
-    """Settings, errors and seconds of each contender, and what giajax's compilation took."""
+    """Measure settings, errors and seconds of each contender, and giajax's compilation time."""
     everyone = contenders(problem, quick)
     compile_seconds = _compilation(everyone[MINE])
     chosen: dict[str, dict[str, Any]] = {}
@@ -46,7 +46,7 @@ def run_and_gradient(problem: Problem, repeats: int, quick: bool) -> dict[str, A
     assert tight is not None
     exact = np.asarray(tight(1e-9))
     for name in with_jacobian:
-        # Of the columns, each for a parameter that doubles: m at the tip.
+        # Scale each column to a parameter that doubles, which gives metres at the tip.
         off = (np.asarray(gradient(name)()) - exact) * problem.values
         columns[name]["error"] = float(np.abs(off).max())
     return {
@@ -69,7 +69,7 @@ def _compilation(mine: Contender) -> dict[str, float]:
 
 
 def _measured(calls: dict[str, Any], repeats: int) -> dict[str, dict[str, float]]:
-    """Seconds of each; the quick ones in turns."""
+    """Measure the seconds of each call, the quick ones several times in turns."""
     once = in_turns(calls, 1)
     quickest = min(each["min"] for each in once.values())
     quick = {name: call for name, call in calls.items() if once[name]["min"] < SLOW * quickest}

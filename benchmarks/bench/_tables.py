@@ -12,7 +12,7 @@ from benchmarks.measuring import spread
 
 
 def show(found: dict[str, Any], console: Console) -> None:
-    """Print all that was measured."""
+    """Print all measurements."""
     for name, sentence in found["absent"].items():
         console.print(f"{name} is left out: {sentence}")
     console.print(_runs(found))
@@ -39,7 +39,7 @@ def show(found: dict[str, Any], console: Console) -> None:
 
 
 def _table(title: str, *headings: str) -> Table:
-    """A table whose first column has names, and the others numbers."""
+    """Return a table with names in the first column and numbers in the others."""
     table = Table(title=title)
     table.add_column("")
     for heading in headings or ("",):

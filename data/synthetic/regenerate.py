@@ -1,13 +1,12 @@
-"""Make the runs of this folder again, or check that they still come out the same.
+"""Regenerate the runs of this folder, or check that they are reproduced.
 
-    python data/synthetic/regenerate.py           write all of them (`make synthetic`)
-    python data/synthetic/regenerate.py --check   compare: exit status 1 where one differs
+    python data/synthetic/regenerate.py           write all runs (`make synthetic`)
+    python data/synthetic/regenerate.py --check   compare; the exit status is 1 if a run differs
 
-Each run of an arm is one `giajax simulate` command line of the table below; runs of a
-joint, of a muscle and of hysteresis come from the functions below. `--check` compares the files
-with the checksums in their sidecars, and their values with newly simulated ones. Two machines
-do not round alike in the last bit, so values are compared before they are rounded to the digits
-of the file.
+Each run of an arm is one `giajax simulate` command line of the first table below. Runs of a joint,
+of a muscle and of hysteresis come from the functions below. `--check` compares the files with the
+checksums in their sidecars, and their values with newly simulated ones. Machines differ in the last
+bit, so the newly simulated values are compared before they are rounded to the digits of the file.
 """
 
 import contextlib
@@ -31,7 +30,7 @@ from giajax.recordings import sidecar_path
 HERE = Path(__file__).resolve().parent
 
 DIGITS = 6
-# What another machine may change a value by, in SI: far below the noise, far above rounding.
+# Allowed difference between machines, SI: far below the noise, far above rounding.
 ALLOWED = 1e-6
 
 _EXACT = f"--tolerance 1e-10 --digits {DIGITS}"
@@ -40,36 +39,39 @@ _ARM = (
     "--set joints.yaw_stiffness=37 --set joints.damping=0.04"
 )
 
-# Name: what it is, and the options of `giajax simulate`.
+# By name: the description, and the options of `giajax simulate`.
 RUNS = {
     "base_step": (
-        "The paper's experiment: the base joint to 30 deg within a second, four links filmed "
-        "from the side.",
+        "The paper's experiment: the base joint moves to 30 deg within one second, and four links "
+        "are filmed from the side.",
         "--set air.drag_coefficient=1.12 --set joints.pitch_stiffness=2.7 "
         "--set joints.yaw_stiffness=33 --set joints.damping=0.065 --ramp 1=30@0.5:1 "
         "--channels link02_z,link06_z,link12_z,link20_z --noise position_m=0.02 --seed 1",
     ),
     "pitch_yaw": (
-        "Two pitch and two yaw joints move in turn; every link is tracked, and one cell in ten "
-        "is lost.",
+        "Two pitch joints and two yaw joints move in turn. Every link is tracked, and one cell in "
+        "ten is empty.",
         f"{_ARM} --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 1=15@17:1.5 --ramp 2=-20@1:1.5 "
         "--ramp 2=15@11:2 --ramp 9=18@3:1 --ramp 9=-10@14:1 --ramp 10=-25@5:1.5 "
         "--ramp 10=12@16:2 --channels all --noise position_m=0.01 --missing 10 --seed 2",
     ),
     "wind": (
-        "The same arm as in pitch_yaw, in a breeze that gusts and turns, recorded with the run.",
+        "The same arm as in pitch_yaw, in a gusty wind that changes its direction. The wind is "
+        "recorded with the run.",
         f"{_ARM} --command inputs/wind.csv --channels link06,link12,link20,tip "
         "--noise position_m=0.015 --missing 5 --seed 3",
     ),
     "full_air": (
-        "The arm in all of its air: trimmed until it floats, drag along the links, and added mass.",
+        "The arm with all effects of the air: trim weights with which it floats, drag along the "
+        "links, and added mass.",
         "--arm inputs/full_air.toml --set air.drag_coefficient=1.2 "
         "--set joints.pitch_stiffness=3.2 --set joints.yaw_stiffness=28 "
         "--set joints.damping=0.055 --ramp 1=25@0.5:1 --ramp 1=-5@9:2 --ramp 2=-20@1:1.5 "
         "--ramp 2=15@11:2 --channels link06,link12,link20 --noise position_m=0.01 --seed 5",
     ),
     "joint_memory": (
-        "An arm of six links whose joints remember: it does not come back with its command.",
+        "An arm of six links with hysteretic joints: it does not return exactly when its command "
+        "returns.",
         "--links 6 --set air.drag_coefficient=1.15 --set joints.pitch_stiffness=2.6 "
         "--set joints.yaw_stiffness=21 --set joints.damping=0.07 "
         "--set joints.memory.strength=0.08 --set joints.memory.yield_angle=0.003 --duration 18 "
@@ -77,7 +79,7 @@ RUNS = {
         "--channels joints,link03,tip --noise position_m=0.01 --noise angle_deg=0.3 --seed 6",
     ),
     "short_arm_steps": (
-        "An arm of six links whose commands jump; the angles of its joints are measured too.",
+        "An arm of six links with step commands. The angles of its joints are also measured.",
         "--links 6 --set air.drag_coefficient=1.05 --set joints.pitch_stiffness=2.2 "
         "--set joints.yaw_stiffness=18 --set joints.damping=0.09 --duration 15 --step 1=30@0.5 "
         "--step 1=0@8 --step 2=20@2 --step 3=-25@5 --channels joints,link03,tip "
@@ -87,7 +89,7 @@ RUNS = {
 
 
 def joint_run(name: str, truth: dict[str, float], torques: list[float], noise: float) -> Run:
-    """A joint at 121 angles on both sides, three times each, with noise of full scale."""
+    """Simulate a joint at angles on both sides, three times each; noise relative to full scale."""
     from giajax import build_model, synthesise
 
     sizes = np.tile(np.linspace(0, 60, 61), 3)
@@ -101,7 +103,7 @@ def joint_run(name: str, truth: dict[str, float], torques: list[float], noise: f
         None,
         inputs,
         ["contraction", "force"],
-        # Full scale: 0.2 and 3 N.
+        # Full scale is 0.2 for the contraction and 3 N for the force.
         noise={"contraction": 0.2 * noise, "force": 3.0 * noise},
         seed=5,
         definition={"truth": truth},
@@ -109,13 +111,13 @@ def joint_run(name: str, truth: dict[str, float], torques: list[float], noise: f
     )
     if not any(path.startswith("geometry.") for path in truth):
         return run
-    # A fit of the geometry is not to be told it.
+    # The geometry is fitted, so the sidecar must not give it.
     stated = {key: said for key, said in run.definition.contents().items() if key != "joint"}
     return Run.from_arrays(None, run.values, name=name, definition=stated)
 
 
 def muscle_run(name: str, section: dict[str, object], truth: dict[str, float]) -> Run:
-    """A muscle let out and drawn in by a test stand at six pressures."""
+    """Simulate a muscle that a test bench lengthens and shortens at six pressures."""
     from giajax import build_model, synthesise
 
     pressures = np.repeat([50e3, 100e3, 150e3, 200e3, 250e3, 300e3], 50)
@@ -135,7 +137,7 @@ def muscle_run(name: str, section: dict[str, object], truth: dict[str, float]) -
 
 
 def joint_loops(name: str, truth: dict[str, float]) -> Run:
-    """Nested loops of a joint that is a Prandtl-Ishlinskii operator, with noise and gaps."""
+    """Simulate nested loops of a joint with a Prandtl-Ishlinskii operator, with noise and gaps."""
     from giajax import build_model, synthesise
 
     turns = [0, 55, -55, 40, -30, 50, -10, 20, -45, -5, -25, 30, 0]
@@ -160,7 +162,7 @@ def joint_loops(name: str, truth: dict[str, float]) -> Run:
 
 
 def bouc_wen_multisine(name: str) -> Run:
-    """The estimation run of the Bouc-Wen benchmark, in its usual units."""
+    """Simulate the estimation run of the Bouc-Wen benchmark, in its usual units."""
     from giajax.apps.experiments import bouc_wen_benchmark
 
     run = bouc_wen_benchmark(seed=6).multisine
@@ -170,14 +172,17 @@ def bouc_wen_multisine(name: str) -> Run:
 
 
 def one_link(name: str) -> Run:
-    """What `giajax hysteresis` identifies the simulated joint from."""
+    """Simulate the joint from which `giajax hysteresis` identifies its operator."""
     from giajax.apps.experiments import record_joint
 
     return record_joint()
 
 
 def turned_camera_run(name: str) -> Run:
-    """The motion of pitch_yaw before a camera turned by 5 deg and 0.1 m off, as nobody knows."""
+    """Simulate the motion of pitch_yaw, seen by a camera rotated by 5 deg and shifted by 0.1 m.
+
+    The sidecar does not give the pose of the camera.
+    """
     from giajax import model_for, replace
     from giajax.apps.synthetic import RecordingErrors, recorded_again
 
@@ -199,7 +204,7 @@ def turned_camera_run(name: str) -> Run:
     )
 
 
-# Noise of a tracked point, px; links of the arm that cameras film.
+# Noise of a tracked point, px, and number of links of the filmed arm.
 _PIXEL = 2.0
 _FILMED = 6
 _FILMED_ARM = {
@@ -208,7 +213,7 @@ _FILMED_ARM = {
     "joints.yaw_stiffness": 20.0,
     "joints.damping": 0.06,
 }
-# In the files' units, as of one who has measured them well.
+# Camera settings in the units of the files. Size and focal length are assumed to be known exactly.
 _LENS = {"size_px": [1920, 1080], "focal_length_px": 1000.0}
 _TIP_CAMERA = {
     "tip": {
@@ -231,7 +236,7 @@ _MARKS = {
 
 
 def pixel_run(name: str, cameras: dict[str, dict[str, object]], points: list[str]) -> Run:
-    """An arm filmed by cameras whose pose the sidecar has 30 % wrong."""
+    """Simulate an arm filmed by cameras; the poses in the sidecar are 30 % wrong."""
     from giajax import build_model, synthesise
     from giajax.models import parameter_values
 
@@ -277,7 +282,7 @@ def pixel_run(name: str, cameras: dict[str, dict[str, object]], points: list[str
     )
 
 
-# An arm of three links: muscles bend its pitch joints, all of its joints remember.
+# An arm of three links whose pitch joints have muscles and whose joints all have hysteresis.
 _WHOLE_ARM = {"preset": "takeichi_20m", "links": 3, "muscles": "pitch"}
 _WHOLE_CORRECTIONS = {
     "alpha.offset": 0.04,
@@ -299,7 +304,7 @@ _WHOLE_AIR = {
 
 
 def whole_arm(name: str) -> Run:
-    """The arm, driven by the pressures of a controller that knows no friction and no stiffness."""
+    """Simulate the arm, driven by pressures of a controller that ignores friction and stiffness."""
     import jax.numpy as jnp
 
     from giajax import model_for, replace, synthesise
@@ -339,7 +344,7 @@ def whole_arm(name: str) -> Run:
 
 
 def whole_loop(name: str) -> Run:
-    """Torque over angle of one of its joints without pressure, to and fro on a bench."""
+    """Simulate the torque of one joint of this arm without pressure, over loops of its angle."""
     from giajax import model_for, replace, synthesise
 
     turns = [0, 20, -20, 10, -5, 30, 0]
@@ -373,35 +378,36 @@ _CORRECTIONS = {
     "beta.curvature": 0.72,
 }
 
-# Name: what it is, the function that makes it, and its arguments.
+# By name: the description, the function that makes the run, and its arguments.
 STILL = {
     "camera_frame": (
-        "The motion of pitch_yaw before a camera whose frame is turned by 5 deg and shifted by "
-        "0.1 m, which the sidecar does not know; links are hidden for seconds.",
+        "The motion of pitch_yaw, recorded by a camera whose frame is rotated by 5 deg and "
+        "shifted by 0.1 m. The sidecar does not specify this pose. Links are hidden for several "
+        "seconds.",
         turned_camera_run,
         (),
     ),
     "pixels_side": (
-        "An arm of six links before two cameras in the room, with noise of 2 px; the sidecar has "
-        "their poses 30 % wrong.",
+        "An arm of six links in front of two cameras in the room, with noise of 2 px. The camera "
+        "poses in the sidecar are wrong by 30 %.",
         pixel_run,
         (_ROOM_CAMERAS, ["link02", "link04", "link06", "tip"]),
     ),
     "pixels_tip": (
-        "The same motion as a camera on the tip shows it: six landmarks of the room, which leave "
-        "its picture and come back.",
+        "The same motion, recorded by a camera on the tip. The camera shows six landmarks in the "
+        "room, which leave the image and return.",
         pixel_run,
         (_TIP_CAMERA, list(_MARKS)),
     ),
     "joint": (
-        "One muscle of a joint under 0.3 N m on both sides, with noise of 2 % of full scale: what "
-        "the paper's fig. 9 measures.",
+        "One muscle of a joint under 0.3 N m on both sides, with noise of 2 % of full scale. This "
+        "is the measurement of the paper's fig. 9.",
         joint_run,
         (_CORRECTIONS, [], 0.02),
     ),
     "joint_loads": (
-        "A joint of another geometry under three torques in turn, with noise of 0.2 % of full "
-        "scale.",
+        "A joint with a different geometry under three torques in turn, with noise of 0.2 % of "
+        "full scale.",
         joint_run,
         (
             {
@@ -419,7 +425,7 @@ STILL = {
         ),
     ),
     "muscle": (
-        "A thin braided muscle at six pressures, filling and exhausting.",
+        "A thin braided muscle at six pressures, during filling and exhausting.",
         muscle_run,
         (
             {"law": "braided", "friction": "coulomb"},
@@ -432,7 +438,7 @@ STILL = {
         ),
     ),
     "muscle_empirical": (
-        "The same stand with a muscle that follows the empirical law, without friction.",
+        "The same test with a muscle that follows the empirical law, without friction.",
         muscle_run,
         (
             {"law": "empirical"},
@@ -445,7 +451,8 @@ STILL = {
         ),
     ),
     "joint_loops": (
-        "Loops within loops of a joint with hysteresis, a Prandtl-Ishlinskii operator of plays.",
+        "Nested loops of a joint with hysteresis, generated by a Prandtl-Ishlinskii operator with "
+        "plays.",
         joint_loops,
         (
             {
@@ -460,35 +467,36 @@ STILL = {
     ),
     "bouc_wen_multisine": (
         "A mass on a spring and a damper with a Bouc-Wen element, driven by a multisine of 50 N "
-        "RMS from 5 to 150 Hz: the estimation run of a benchmark of nonlinear identification.",
+        "RMS from 5 to 150 Hz. This is the estimation run of a benchmark of nonlinear system "
+        "identification.",
         bouc_wen_multisine,
         (),
     ),
     "whole_arm": (
-        "An arm whose pitch joints are bent by muscles, driven by pressures; its joints remember. "
-        "`fits/whole_arm.toml` fits it together with the two runs below.",
+        "An arm whose pitch joints are bent by muscles, with pressures as inputs. Its joints have "
+        "hysteresis. `fits/whole_arm.toml` fits this run together with the two runs below.",
         whole_arm,
         (),
     ),
     "whole_joint": (
-        "A muscle of one of its joints on the bench, as in joint.csv.",
+        "One muscle of a joint of this arm on a test bench, as in joint.csv.",
         joint_run,
         (_WHOLE_CORRECTIONS, [], 0.02),
     ),
     "whole_loop": (
-        "Torque over angle of one of its joints without pressure: a spring and Dahl's friction.",
+        "Torque versus angle of a joint of this arm without pressure: a spring and Dahl friction.",
         whole_loop,
         (),
     ),
     "one_link": (
-        "A simulated 1-link arm that snaps through about 0 deg, on the paper's history and on "
-        "loops within it (`giajax hysteresis`).",
+        "A simulated arm with one link that snaps through at about 0 deg, for the command history "
+        "of the paper and for loops within it (`giajax hysteresis`).",
         one_link,
         (),
     ),
 }
 
-# Of runs whose channels may have any quantity.
+# Units of the runs whose channels may have any quantity.
 UNITS = {
     "bouc_wen_multisine": {"input": "N", "output": "mm"},
     "whole_loop": {"input": "deg", "output": "N_m"},
@@ -496,7 +504,7 @@ UNITS = {
 
 
 def wind_input() -> str:
-    """The table behind `wind.csv`: commands, and a steady breeze with three gusts in it."""
+    """Return the input table of `wind.csv`: commands, and a steady breeze with gusts."""
     times = np.linspace(0.0, 25.0, 51)
     commands = [
         np.interp(times, [1, 3, 10, 13], [0, 20, 20, -5]),
@@ -519,7 +527,7 @@ def wind_input() -> str:
     return "\n".join([header, *lines]) + "\n"
 
 
-# A tube of cardboard that swings from a pin: docs/film.md has the same, but for its C_D.
+# A cardboard tube that swings from a pin. docs/film.md uses the same tube with another C_D.
 _TUBE: dict[str, dict[str, Any]] = {
     "arm": {
         "preset": "pendulum",
@@ -535,7 +543,7 @@ _TUBE: dict[str, dict[str, Any]] = {
 
 
 def film() -> str:
-    """`film.txt`: where Tracker saw the end of a swinging tube, in cm, and not in every picture."""
+    """Return `film.txt`: positions of the end of a swinging tube in cm, from Tracker, with gaps."""
     from giajax import model_for, predict
 
     times = np.arange(181) / 30
@@ -553,14 +561,14 @@ def film() -> str:
 
 
 def command_line(name: str) -> str:
-    """The command that makes a run, to be given in this folder."""
+    """Return the command that generates a run in this folder."""
     if name in STILL:
         return "python regenerate.py"
     return f"giajax simulate --to {name}.csv {RUNS[name][1]} {_EXACT}"
 
 
 def make(name: str, out: Path, digits: int = DIGITS) -> None:
-    """Make one run of the tables."""
+    """Generate one run of the tables."""
     if name in STILL:
         _, function, arguments = STILL[name]
         run = function(name, *arguments)
@@ -577,15 +585,15 @@ def make(name: str, out: Path, digits: int = DIGITS) -> None:
 
 
 def readme() -> str:
-    """The text of README.md, from the table and the sidecars."""
+    """Return the text of README.md, from the tables and the sidecars."""
     lines = [
         "# Synthetic runs",
         "",
-        "Made by giajax itself, with noise and gaps, and written by `regenerate.py` (`make",
-        "synthetic`) together with this text; `regenerate.py --check` compares them with newly",
-        "made ones. Each sidecar states the constants, the noise and the truth, and of an arm the",
-        "command line. They test the fit; they say nothing about how well a model describes a real",
-        "arm, joint or muscle.",
+        "The runs in this folder are simulated with giajax, with noise and gaps. `regenerate.py`",
+        "(`make synthetic`) writes them together with this text, and `regenerate.py --check`",
+        "compares them with newly simulated runs. Each sidecar gives the constants, the noise,",
+        "the true parameter values and, for an arm, the command line. The runs test the fit. They",
+        "do not show how well a model describes a real arm, joint or muscle.",
     ]
     for name, (meaning, *_) in {**RUNS, **STILL}.items():
         run = read_run(HERE / f"{name}.csv")
@@ -600,7 +608,7 @@ def readme() -> str:
             "",
             meaning,
             "",
-            f"- truth: {truth or 'made of other parts than any model that is fitted'}",
+            f"- truth: {truth or 'simulated with other models than those that are fitted'}",
             f"- SHA-256: `{run.sha256}`",
             "",
             "```",
@@ -611,7 +619,7 @@ def readme() -> str:
         "",
         "## film.txt",
         "",
-        "A table of Tracker, of the end of a tube that swings (`docs/film.md`).",
+        "A table from Tracker with the positions of the end of a swinging tube (`docs/film.md`).",
         "",
         f"- truth: `air.drag_coefficient` {_TUBE['arm']['parameters']['air.drag_coefficient']:g}",
     ]
@@ -619,7 +627,7 @@ def readme() -> str:
 
 
 def write() -> None:
-    """Make everything in this folder again."""
+    """Regenerate all files of this folder."""
     (HERE / "inputs" / "wind.csv").write_text(wind_input())
     (HERE / "film.txt").write_text(film())
     for name in (*RUNS, *STILL):
@@ -629,7 +637,7 @@ def write() -> None:
 
 
 def same(one: object, other: object) -> bool:
-    """Whether two definitions say the same, but for the rounding of another machine."""
+    """Return whether two definitions agree, apart from rounding on another machine."""
     if isinstance(one, dict) and isinstance(other, dict):
         return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
     if isinstance(one, list) and isinstance(other, list):
@@ -640,7 +648,7 @@ def same(one: object, other: object) -> bool:
 
 
 def differences(name: str) -> list[str]:
-    """What is not as the command line makes it, in one run; empty where all is well."""
+    """Return the differences of one run from its regenerated version; empty if there are none."""
     path = HERE / f"{name}.csv"
     try:
         kept = read_run(path)  # compares the checksum
@@ -669,7 +677,7 @@ def differences(name: str) -> list[str]:
             continue
         unit = kept.channels[channel]
         written, exact = unit.from_si(values), unit.from_si(made.values[channel])
-        # Half a unit of the last digit is the file's own rounding.
+        # The file rounds to half a unit of the last digit.
         size = np.maximum(np.abs(written), 1e-300)
         rounding = 0.5 * 10.0 ** (np.floor(np.log10(size)) + 1 - DIGITS)
         off = np.abs(written - exact) - rounding * (1 + 1e-9) - unit.from_si(ALLOWED)
@@ -679,7 +687,7 @@ def differences(name: str) -> list[str]:
 
 
 def check() -> list[str]:
-    """All differences of this folder from what its table makes."""
+    """Return all differences of this folder from its regenerated contents."""
     found = [difference for name in (*RUNS, *STILL) for difference in differences(name)]
     if (HERE / "inputs" / "wind.csv").read_text() != wind_input():
         found.append("inputs/wind.csv is not what the table says")
@@ -690,7 +698,7 @@ def check() -> list[str]:
             film(),
         )
     ]
-    if not np.allclose(*seen, atol=2e-3, rtol=0, equal_nan=True):  # the last digit, rounded
+    if not np.allclose(*seen, atol=2e-3, rtol=0, equal_nan=True):  # rounding of the last digit
         found.append("film.txt is not what its function makes")
     if not found and (HERE / "README.md").read_text() != readme():
         found.append("README.md is not up to date")
@@ -698,7 +706,7 @@ def check() -> list[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write, or with `--check` compare; returns the exit status."""
+    """Write, or compare with `--check`; return the exit status."""
     if arguments not in ([], ["--check"]):
         print(f"usage: {os.path.basename(__file__)} [--check]", file=sys.stderr)
         return 2

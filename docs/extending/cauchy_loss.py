@@ -1,4 +1,4 @@
-"""A loss of one's own, and Student-t, for a recording of which one cell in ten is wrong."""
+"""Example: a user-defined loss and Student-t, for a recording with one outlier in ten cells."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ TRUTH = 1.4
 
 @giajax.register
 class CauchyLoss(AbstractLoss):
-    """Of a width, in deviations of the noise, beyond which a residual hardly counts for more."""
+    """Cauchy loss; a residual beyond `width` noise standard deviations has little influence."""
 
     width: float = 2.0
 
@@ -21,7 +21,7 @@ class CauchyLoss(AbstractLoss):
 
 
 def recording():
-    """A swinging arm whose tracker takes something else for a marker, to one side of it."""
+    """Simulate a swinging arm; outliers displace one cell in ten in the positive direction."""
     arm = giajax.takeichi_20m(3, drag="strip")
     times = np.linspace(0.0, 6.0, 121)
     run = giajax.synthesise(

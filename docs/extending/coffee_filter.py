@@ -1,4 +1,4 @@
-"""A falling coffee filter with quadratic drag: a model of one's own."""
+"""Example: a user-defined model of a falling coffee filter with quadratic drag."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ GRAVITY = 9.80665
 
 @giajax.register
 class CoffeeFilter(giajax.AbstractModel):
-    """Released at rest: its fall approaches the speed at which drag carries its weight."""
+    """Fall from rest; the speed approaches the terminal speed, at which drag balances weight."""
 
     kind = "coffee_filter"
     channels = (ChannelKind("height", "height", "length", "output"),)

@@ -1,4 +1,4 @@
-"""Drag that depends on the Reynolds number and on how full a link is: a law of one's own."""
+"""Example: a user-defined drag law that depends on the Reynolds number and on the fullness."""
 
 import jax
 import numpy as np
@@ -11,7 +11,7 @@ from giajax.schema.parameters import parameter
 
 @giajax.register
 class FullnessDrag(AbstractDragLaw):
-    """Across each link; C_D falls with the Reynolds number, and a limp link has more of it."""
+    """Cross-flow drag; C_D decreases with the Reynolds number and with the fullness of a link."""
 
     coefficient: jax.Array = parameter(
         1.0, unit="", lower=0, frozen=False, doc="C_D of a full link at Re = 1e5"

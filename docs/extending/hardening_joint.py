@@ -1,4 +1,4 @@
-"""A joint that hardens beyond an angle: a law of one's own, fitted and asked for."""
+"""Example: a user-defined law of a joint that hardens beyond an angle, fitted and detected."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from giajax.testing import check_joint_law
 
 @giajax.register
 class HardeningJoint(AbstractJointLaw):
-    """A fabric that is slack up to an angle, and pulls back by the square of what is beyond."""
+    """Fabric that is slack up to an angle; beyond it, its torque is quadratic in the excess."""
 
     strength: jax.Array = parameter(
         1.0, unit="N m/rad^2", lower=0, frozen=False, doc="pull of the taut fabric"

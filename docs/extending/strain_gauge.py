@@ -1,4 +1,4 @@
-"""Strain gauges at the joints of an arm: a sensor of one's own, fitted beside a stiffness."""
+"""Example: a user-defined sensor (strain gauges at joints), fitted together with a stiffness."""
 
 import jax
 import numpy as np
@@ -11,7 +11,7 @@ from giajax.schema.parameters import parameter
 
 @giajax.register
 class StrainGauge(AbstractSensor):
-    """Strain of the fabric at each joint, in proportion to the torque in it."""
+    """Strain of the fabric at each joint, proportional to the joint torque."""
 
     channel = ChannelKind("strain", "gaugeNN", "ratio", "output")
 

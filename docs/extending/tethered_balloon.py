@@ -1,4 +1,4 @@
-"""A tethered balloon in a steady wind: another robot, with a law of drag of one's own."""
+"""Example: a tethered balloon in a steady wind, a different robot with a user-defined drag law."""
 
 import jax
 import numpy as np
@@ -11,7 +11,7 @@ from giajax.schema.parameters import parameter
 
 @giajax.register
 class SphereDrag(AbstractDragLaw):
-    """Of a ball in a link as long as it is wide, by the area that the ball shows to the air."""
+    """Drag of a sphere, for a link as long as it is wide, based on the sphere's frontal area."""
 
     coefficient: jax.Array = parameter(0.6, unit="", lower=0, frozen=False, doc="C_D of a ball")
     points = 0
@@ -25,7 +25,7 @@ def main():
     jax.config.update("jax_enable_x64", True)
     wind, ball, tether = 5.0, 2.0, 10.0
     none = dict.fromkeys(("joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping"), 0.0)
-    # A thin tether stands up from the ground; the ball fills two thirds of its cylinder.
+    # A thin tether stands upright on the ground. The ball fills two thirds of its cylinder.
     arm = giajax.chain(
         2,
         length=[tether, ball],
@@ -45,7 +45,7 @@ def main():
     run = giajax.synthesise(truth, times, still, names, noise={"position": 0.02})
     giajax.write_run("leaning.csv", run.times, run.values, definition=run.definition)
     run = giajax.read_run("leaning.csv")
-    # It leans until drag and what lifts are along the tether, whose own part is small.
+    # The tether points along the sum of drag and net lift. Its own drag and weight are small.
     drag = 0.5 * 1.204 * 0.47 * np.pi / 4 * ball**2 * wind**2
     expected = np.arctan2(drag, 9.80665 * float(net_lift(arm)[1]))
     x, _, z = (np.mean(run.values[name][-20:]) for name in names)

@@ -1,4 +1,4 @@
-"""A gusty wind that grows with height: a wind of one's own, in which a thing on a rope hangs."""
+"""Example: a user-defined gusty wind that increases with height, acting on a hanging rope."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from giajax.schema.parameters import parameter
 
 @giajax.register
 class PowerLaw(AbstractWind):
-    """Along x, by a power of the height above the ground, with a gust that comes and goes."""
+    """Wind along x: a power of the height above the ground, times a periodic gust."""
 
     speed: jax.Array = parameter(6.0, unit="m/s", lower=0, doc="mean 10 m above the ground")
     exponent: jax.Array = parameter(
@@ -35,7 +35,7 @@ def main():
     command = {"joint01_command": 0 * times}
     run = giajax.synthesise(truth, times, command, ["joint01_angle"], noise={"angle": 1e-4})
     giajax.write_run("hanging.csv", run.times, run.values, definition=run.definition)
-    # The same by hand: drag across the rope, from the air past each piece of it.
+    # Independent model: drag across the rope, integrated over the relative air speed along it.
     nodes, weights = np.polynomial.legendre.leggauss(40)
     s, weights = 2.5 * (nodes + 1), 2.5 * weights
     inertia = 20 * (5**2 / 3 + 0.15**2 / 2)

@@ -1,1 +1,1 @@
-"""What makes and checks the pages: none of it is needed to read them."""
+"""Programs that generate and check the documentation pages."""

@@ -1,7 +1,7 @@
-"""The reference of Python: the public names by topic, and a page for each module.
+"""Generate the Python reference: the public names by topic, and a page for each module.
 
-A name has its signature, its docstring, and an example: that of its docstring, or the one of
-`docs/python_examples.md`, which the tests run.
+Each name has its signature, its docstring and an example. The example comes from the docstring or
+from `docs/python_examples.md`, which the tests run.
 """
 
 import functools
@@ -40,7 +40,7 @@ _TOPICS = {
 
 @functools.cache
 def rooms() -> list[str]:
-    """The public modules: rooms, and the packages and modules in them, by their dotted names."""
+    """Return the dotted names of all public modules and packages."""
     found = (module.name for module in pkgutil.walk_packages(giajax.__path__, "giajax."))
     names = (name.removeprefix("giajax.") for name in found)
     return sorted(
@@ -51,11 +51,11 @@ def rooms() -> list[str]:
 
 
 def _exported(room: str) -> dict[str, object]:
-    """Public names of a room, which others may import from it alone, and what they are."""
+    """Return the objects that others may import only from this module, by name."""
     module = importlib.import_module(f"giajax.{room}")
     names = getattr(module, "__all__", vars(module))
     found = {name: getattr(module, name) for name in names if not name.startswith("_")}
-    # What a package imports, it exports; a module has what it defines, constants too.
+    # A package exports what it imports. A module exports what it defines, including constants.
     of_package = hasattr(module, "__path__")
     source = inspect.getsource(module)
     return {
@@ -72,7 +72,7 @@ def _exported(room: str) -> dict[str, object]:
 
 
 def _home(thing: object, room: str) -> bool:
-    """Whether a room is where something comes from, and not one that passes it on."""
+    """Return whether a module is the origin of an object, and not one that re-exports it."""
     origin = (getattr(thing, "__module__", None) or "").removeprefix("giajax.")
     homes = [name for name in rooms() if f"{origin}.".startswith(f"{name}.")]
     return not homes or max(homes, key=len) == room
@@ -87,7 +87,7 @@ def _directive(thing: object) -> str:
 
 @functools.cache
 def examples() -> dict[str, str]:
-    """The examples of `docs/python_examples.md`, by the public name in their headings."""
+    """Return the examples of `docs/python_examples.md`, by the public name in their headings."""
     text = EXAMPLES.read_text(encoding="utf-8")
     found = re.findall(
         r"^### `giajax\.(\w+)`\n\n```python\n(.*?)```", text, re.DOTALL | re.MULTILINE
@@ -110,35 +110,35 @@ def _entry(name: str, thing: object) -> str:
 
 
 def _table(names: Iterable[str], options: str = "") -> str:
-    """Names with summaries, and with signatures unless the options say otherwise."""
+    """Return a table of names with summaries, and with signatures unless the options omit them."""
     return f".. autosummary::\n{options}\n" + "".join(f"   {name}\n" for name in names)
 
 
 def _doc(room: str) -> tuple[str, str]:
-    """The first line of what a room says of itself, and the rest."""
+    """Return the first line of a module's docstring, and the rest."""
     module = importlib.import_module(f"giajax.{room}")
     first, _, rest = inspect.cleandoc(module.__doc__ or "").partition("\n")
     return first, rest
 
 
 def _room(room: str) -> str:
-    """The page of a room."""
+    """Return the page of a module."""
     names = {_public(room, name): thing for name, thing in _exported(room).items()}
     ordered = sorted(names, key=lambda name: (name.count("."), name.lower()))
     entries = "\n".join(_entry(name, names[name]) for name in ordered)
     first, rest = _doc(room)
-    # Signatures follow on the same page.
+    # The signatures follow on the same page.
     table = _table(ordered, "   :nosignatures:\n")
     return f"# giajax.{room}\n\n```{{eval-rst}}\n{first}\n{rest}\n\n{table}\n{entries}```\n"
 
 
 def _public(room: str, name: str) -> str:
-    """A name of a room as it is imported."""
+    """Return the name under which an object of a module is imported."""
     return f"giajax.{name}" if name in dir(giajax) else f"giajax.{room}.{name}"
 
 
 def topics() -> dict[str, list[str]]:
-    """The public names that are no modules, by topic."""
+    """Return the public names that are not modules, by topic."""
     left = {
         f"giajax.{name}": room
         for room in rooms()
@@ -158,7 +158,7 @@ def topics() -> dict[str, list[str]]:
 
 
 def _index() -> str:
-    """The first page: public names by topic, and modules by what they hold."""
+    """Return the first page: public names by topic, and a table of the modules."""
     parts = [_INTRODUCTION]
     for title, names in topics().items():
         table = _table(sorted(names, key=str.lower))
@@ -173,5 +173,5 @@ def _index() -> str:
 
 
 def pages() -> dict[str, str]:
-    """The text of each page by its name."""
+    """Return the text of each page, by page name."""
     return {"index": _index(), **{room: _room(room) for room in rooms()}}

@@ -1,11 +1,11 @@
-"""Open the built site in Chromium, wide and narrow, and ask what a reader would complain of.
+"""Open the built site in Chromium at two widths, and report defects that a reader would see.
 
-    python -m docs.machinery.browse [SITE]                    build/docs, unless another is named
-    python -m docs.machinery.browse [SITE] --pictures DIR     and a picture of every page
+    python -m docs.machinery.browse [SITE]                    build/docs by default
+    python -m docs.machinery.browse [SITE] --pictures DIR     also saves a picture of every page
 
-Dead links and fragments, messages of the console, files that are not there, plots that are not
-drawn, and pages that are wider than their window. A folder of reports is a site as well. The exit
-status is 1 where there is one, 2 without a browser or a site.
+The defects are dead links and fragments, console messages, missing files, plots that are not drawn,
+and pages that are wider than their window. A folder of reports can be checked, too. The exit status
+is 1 if there is a defect, and 2 if there is no browser or no site.
 """
 
 import functools
@@ -28,11 +28,11 @@ SITE = Path(__file__).resolve().parents[2] / "build" / "docs"
 WIDTHS = (1400, 390)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 
-# What BokehJS says of itself, and what a browser says of a page that changes its size as it is
-# laid out: the frame does that here.
+# BokehJS reports its log level. The browser reports a page whose size changes during layout, which
+# the frame causes here.
 _NO_COMPLAINTS = ("setting log level to", "ResizeObserver loop completed")
 
-# A page in a frame has the width of the frame, and one browser opens them all.
+# A page in a frame has the width of the frame, so one browser can open all pages.
 _HARNESS = """\
 <!doctype html><title>running</title><pre id="found"></pre><script>
 const pages = PAGES, widths = WIDTHS, found = [];
@@ -67,7 +67,7 @@ frame.height = 900;
 
 
 class _Links(HTMLParser):
-    """What a page links to, and the fragments that it has."""
+    """The links and the fragments of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class _Links(HTMLParser):
         self.fragments: set[str] = set()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """One element."""
+        """Collect the links and the fragment of one element."""
         for name, value in attrs:
             if name == "id" and value:
                 self.fragments.add(value)
@@ -84,7 +84,7 @@ class _Links(HTMLParser):
 
 
 def dead_links(site: Path) -> list[str]:
-    """Links within the site that lead nowhere."""
+    """Return the links within the site whose target does not exist."""
     pages = {}
     for path in site.rglob("*.html"):
         pages[path.resolve()] = parser = _Links()
@@ -104,12 +104,12 @@ def dead_links(site: Path) -> list[str]:
 
 
 class _Served(SimpleHTTPRequestHandler):
-    """The site, and the page that opens it, without a word for each file."""
+    """Server of the site and of the test page that opens it; it does not log requests."""
 
     harness = b""
 
     def do_GET(self) -> None:
-        """A file, or the harness."""
+        """Send a file or the test page."""
         if self.path != "/__harness__":
             return super().do_GET()
         self.send_response(200)
@@ -118,12 +118,12 @@ class _Served(SimpleHTTPRequestHandler):
         self.wfile.write(self.harness)
 
     def log_message(self, format: str, *arguments: object) -> None:
-        """Nothing."""
+        """Log nothing."""
 
 
 @contextmanager
 def _server(site: Path, pages: list[str]) -> Iterator[str]:
-    """Serve the site to this machine alone; gives the address."""
+    """Serve the site on the local host only, and yield the address."""
     text = _HARNESS.replace("PAGES", json.dumps(pages)).replace("WIDTHS", json.dumps(WIDTHS))
     served = type("Served", (_Served,), {"harness": text.encode()})
     handler = functools.partial(served, directory=str(site))
@@ -146,9 +146,9 @@ def _chromium(browser: str, *arguments: str) -> subprocess.CompletedProcess[str]
 
 
 def opened(site: Path, browser: str) -> list[str]:
-    """What is wrong with the pages in a browser."""
+    """Open all pages in a browser, and return the defects."""
     pages = sorted(f"/{path.relative_to(site)}" for path in site.rglob("*.html"))
-    # Time that passes at once where nothing is to be done.
+    # Virtual time, which passes immediately while the browser is idle.
     budget = 10_000 * len(pages) * len(WIDTHS)
     with _server(site, pages) as address:
         ended = _chromium(
@@ -163,7 +163,7 @@ def opened(site: Path, browser: str) -> list[str]:
 
 
 def pictures(site: Path, browser: str, folder: Path) -> None:
-    """A picture of the top of every page, at every width."""
+    """Save a picture of the top of every page at every width."""
     folder.mkdir(parents=True, exist_ok=True)
     for path in sorted(site.rglob("*.html")):
         name = "-".join(path.relative_to(site).with_suffix("").parts)
@@ -173,12 +173,12 @@ def pictures(site: Path, browser: str, folder: Path) -> None:
 
 
 def installed() -> str | None:
-    """The browser, or None."""
+    """Return the installed browser, or None."""
     return next(filter(None, map(shutil.which, BROWSERS)), None)
 
 
 def main(words: list[str]) -> int:
-    """Look at the site; returns the exit status."""
+    """Check the site and return the exit status."""
     folder = None
     if "--pictures" in words:
         place = words.index("--pictures")

@@ -1,4 +1,4 @@
-"""The reference of the command line: tables of commands by group, and of each command's options."""
+"""Generate the command-line reference: tables of the commands by group, and of their options."""
 
 import textwrap
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ _WIDTH = 80
 
 
 def page() -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     names = _app.command_names()
     group: Any = typer.main.get_command(_app._app_for(names))
     context = group.make_context("giajax", [], resilient_parsing=True)
@@ -38,7 +38,7 @@ def page() -> str:
 
 
 def _command(command: Any, above: Any) -> Iterator[str]:
-    """The section of a command."""
+    """Yield the section of a command."""
     context = command.make_context(
         command.name, [], parent=above, resilient_parsing=True, terminal_width=_WIDTH
     )
@@ -49,7 +49,7 @@ def _command(command: Any, above: Any) -> Iterator[str]:
     yield "| --- | --- |"
     for parameter in command.get_params(context):
         words, meaning = parameter.get_help_record(context)
-        # In code brackets are no link, and a backslash would be shown.
+        # Brackets within code are not links, and a backslash would be visible.
         shown = words.replace("|", r"\|")
         yield f"| `{shown}` | {cell(meaning)} |"
     formatter = context.make_formatter()

@@ -1,6 +1,6 @@
-"""Docstrings as Sphinx reads them: they are plain text with `code`, and no reStructuredText.
+"""Prepare docstrings for Sphinx: they are plain text with `code`, not reStructuredText.
 
-Arguments are napoleon's business; what its language has beside them is escaped here.
+Napoleon processes the arguments. This module escapes all other markup.
 """
 
 import inspect
@@ -18,9 +18,9 @@ _MARKUP = re.compile(r"([*|\\]|(?<=\w)_(?!\w))")
 
 
 def escaped(lines: list[str]) -> list[str]:
-    """Lines of text in which `*`, `|` and `name_` are what they are; examples stay as they are.
+    """Escape `*`, `|` and `name_` in the lines of a text, except in examples.
 
-    `code` may go on from one line to the next.
+    `code` may continue on the next line.
     """
     parts = _CODE.split("\n".join(lines))
     parts[::2] = [_escaped_text(part) for part in parts[::2]]
@@ -39,14 +39,14 @@ def _process(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines:
 
 
 def _types(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """The shape of an array may have a `*`, and napoleon writes types as they are."""
+    """Escape a `*` in the shape of an array, because napoleon does not escape types."""
     lines[:] = [
         line.replace("*", r"\*") if line.startswith(":vartype ") else line for line in lines
     ]
 
 
 def _about(name: str) -> list[str]:
-    """What stands below a constant, in the file of its room that has it."""
+    """Return the docstring below a constant, from the file that defines it."""
     first, *rooms, last = name.split(".")
     folders = Path(__file__).resolve().parents[2] / "src" / first
     for path in sorted(folders.rglob("*.py")):
@@ -60,20 +60,23 @@ def _about(name: str) -> list[str]:
 
 
 def _signature(app: Sphinx, *about: Any) -> tuple[str | None, str | None]:
-    """An array is an array, wherever JAX keeps its class."""
+    """Shorten the class name of arrays, which depends on the version of JAX."""
     short = [text and text.replace("jaxlib._jax.Array", "Array") for text in about[-2:]]
     return short[0], short[1]
 
 
 def _as_written(app: Sphinx) -> None:
-    """Sphinx takes defaults from the source, which does not list the keywords of an `Unpack`."""
+    """Remove `__signature__`, so Sphinx takes the defaults from the source.
+
+    The source does not list the keywords of an `Unpack`.
+    """
     for each in (getattr(giajax, name) for name in dir(giajax)):
         if inspect.isfunction(each):
             vars(each).pop("__signature__", None)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """What Sphinx calls: before napoleon, which writes markup, and after it."""
+    """Connect the functions to Sphinx, before and after napoleon, which writes markup."""
     app.connect("builder-inited", _as_written)
     app.connect("autodoc-process-docstring", _process, priority=400)
     app.connect("autodoc-process-docstring", _types, priority=600)

@@ -1,4 +1,4 @@
-"""The reference of files: every section and key of the TOML vocabulary, as it is declared."""
+"""Generate the file reference: every declared section and key of the TOML vocabulary."""
 
 import inspect
 import json
@@ -18,7 +18,7 @@ declarations that read them. What files are for is in the [data contract](../dat
 
 
 def page() -> str:
-    """The text of the page."""
+    """Return the text of the page."""
     parts = [_INTRODUCTION, "## At the top\n", *_rows(Definition), ""]
     for name, section in _sections():
         about = inspect.cleandoc(section.__doc__ or "")
@@ -27,7 +27,7 @@ def page() -> str:
 
 
 def _sections() -> Iterator[tuple[str, type[Section]]]:
-    """Sections by name, and after each the tables in it whose keys are declared, too."""
+    """Yield the sections by name, each followed by its tables whose keys are declared, too."""
     known = {name: field.annotation for name, field in Definition.model_fields.items()}
     for name, annotation in known.items():
         for section in _within(annotation):
@@ -39,7 +39,7 @@ def _sections() -> Iterator[tuple[str, type[Section]]]:
 
 
 def _within(annotation: Any) -> Iterator[type[Section]]:
-    """The sections that an annotation names."""
+    """Yield the sections in an annotation."""
     if inspect.isclass(annotation) and issubclass(annotation, Section):
         yield annotation
     for argument in get_args(annotation):
@@ -51,7 +51,7 @@ def _rows(section: type[Section]) -> Iterator[str]:
     yield "| --- | --- | --- | --- |"
     for name, field in section.model_fields.items():
         extra: Any = field.json_schema_extra
-        # A section within a file is no key; it has a heading of its own.
+        # A section within a section is not listed as a key, because it has its own heading.
         if isinstance(extra, dict):
             preset = extra.get("preset")
             value = "" if preset is None else f"`{json.dumps(preset)}`"
@@ -60,5 +60,5 @@ def _rows(section: type[Section]) -> Iterator[str]:
 
 
 def cell(text: str) -> str:
-    """Text of a cell of a table, in which brackets are no link."""
+    """Escape the text of a table cell, so brackets are not read as links."""
     return text.replace("|", r"\|").replace("[", r"\[").replace("]", r"\]")

@@ -1,9 +1,10 @@
-"""Notebooks as pages: their text, their code, and what it prints and draws.
+"""Convert notebooks to pages with their text, their code and its output.
 
-Notebooks are stored without outputs. Each is executed once and its outputs are kept in
-`build/notebooks` until the notebook, the source of giajax or what is installed changes. With
-GIAJAX_SHORT in the environment its short form is executed, and is kept separately: CI builds the
-site with it, and the tests of the notebooks then use the same executions.
+Notebooks are stored without outputs. Each is executed once, and its outputs are kept in
+`build/notebooks` until the notebook, the source of giajax or the installed packages change. If
+GIAJAX_SHORT is set in the environment, the short form of each notebook is executed and kept
+separately. CI builds the site in this way, and the tests of the notebooks then use the same
+executions.
 """
 
 import hashlib
@@ -23,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "build" / "notebooks"
 _SOURCES = {".py", ".js", ".css", ".html", ".toml", ".md"}
 
-# Kernels keep compiled programs and need no display; the last one avoids a warning of Jupyter.
+# Kernels keep compiled programs and need no display. The last variable avoids a Jupyter warning.
 _VARIABLES = {
     "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".jax_cache"),
     "MPLBACKEND": "agg",
@@ -32,15 +33,15 @@ _VARIABLES = {
 
 
 def paths(root: Path = ROOT) -> list[Path]:
-    """The notebooks of the project."""
+    """Return the notebooks of the project."""
     return sorted((root / "notebooks").glob("*.ipynb"))
 
 
 def executed(path: Path, kept: Path = KEPT) -> Any:
-    """A notebook with its outputs: as it was kept, or from a kernel in an empty folder.
+    """Return a notebook with its outputs, kept ones or those of a new kernel in an empty folder.
 
     Raises:
-        nbclient.exceptions.CellExecutionError: a cell raises; nothing is kept.
+        nbclient.exceptions.CellExecutionError: a cell raises an exception; nothing is kept.
     """
     form = "short" if "GIAJAX_SHORT" in os.environ else "full"
     place = kept / f"{path.stem}-{form}-{_key(path)}.ipynb"
@@ -52,7 +53,7 @@ def executed(path: Path, kept: Path = KEPT) -> Any:
         client = NotebookClient(notebook, timeout=3600, kernel_name="python3", resources=resources)
         client.execute(env=_VARIABLES | os.environ)
     kept.mkdir(parents=True, exist_ok=True)
-    # Another process may do the same at the same time, or read: each sees a whole file.
+    # Another process may write or read the same file now, so the complete file is moved into place.
     own = place.with_suffix(f".{os.getpid()}")
     nbformat.write(notebook, own)
     own.replace(place)
@@ -62,7 +63,7 @@ def executed(path: Path, kept: Path = KEPT) -> Any:
 
 
 def _key(path: Path) -> str:
-    """What the outputs of a notebook depend on, as a checksum."""
+    """Return a checksum of everything on which the outputs of a notebook depend."""
     installed = sorted(f"{each.name} {each.version}" for each in metadata.distributions())
     found = hashlib.sha256(f"{sys.version} {installed}".encode())
     sources = (each for each in (ROOT / "src").rglob("*") if each.suffix in _SOURCES)
@@ -72,13 +73,13 @@ def _key(path: Path) -> str:
 
 
 def pages(of: list[Path]) -> list[str]:
-    """Executed notebooks as Markdown, two kernels at a time."""
+    """Return executed notebooks as Markdown; two kernels run at a time."""
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(lambda path: markdown(executed(path)), of))
 
 
 def markdown(notebook: Any) -> str:
-    """A notebook as Markdown; pictures are within the text."""
+    """Return a notebook as Markdown with embedded pictures."""
     parts = []
     for cell in notebook.cells:
         code = cell.cell_type == "code"
@@ -88,7 +89,7 @@ def markdown(notebook: Any) -> str:
 
 
 def _shown(outputs: list[Any]) -> Iterator[str]:
-    """What a cell printed, and the richest form of what it showed."""
+    """Yield the printed text of a cell, and the richest form of its other outputs."""
     for output in outputs:
         data = {"text/plain": output.text} if output.output_type == "stream" else output.data
         if "image/png" in data:

@@ -1,6 +1,6 @@
-"""Paragraphs drawn at random from pages, help and messages, for reviewers of the language.
+"""Draw random paragraphs from pages, help texts and messages for reviewers of the language.
 
-python -m docs.machinery.paragraphs SEED [NUMBER]   (40 by default: half of them from pages)
+python -m docs.machinery.paragraphs SEED [NUMBER]   (default: 40, half of them from pages)
 """
 
 import ast
@@ -10,12 +10,12 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-_LEAST = 8  # words of a paragraph that says something
+_LEAST = 8  # a paragraph must have more words than this
 _SENTENCE = re.compile(r"[a-z]{2} [a-z]+ ")
 
 
 def of_pages() -> list[str]:
-    """Paragraphs and items of lists of all pages, without code and tables."""
+    """Return the paragraphs and list items of all pages, without code and tables."""
     found = []
     for path in [
         ROOT / "README.md",
@@ -30,13 +30,13 @@ def of_pages() -> list[str]:
 
 
 def docstrings_of(tree: ast.Module) -> set[str | None]:
-    """All docstrings of a module."""
+    """Return all docstrings of a module."""
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     return {ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, kinds)}
 
 
 def of_sources() -> tuple[list[str], list[str]]:
-    """Of the strings of the program: those of help, and sentences of results and errors."""
+    """Return the help texts of the program, and its other sentences (results and errors)."""
     helps, messages = [], []
     for path in sorted((ROOT / "src").rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
@@ -59,7 +59,7 @@ def of_sources() -> tuple[list[str], list[str]]:
 
 
 def drawn(seed: int, number: int = 40) -> list[str]:
-    """Half from pages, a quarter from help, a quarter from messages."""
+    """Draw half of the paragraphs from pages and a quarter each from help texts and messages."""
     helps, messages = of_sources()
     sources = ((of_pages(), number // 2), (helps, number // 4), (messages, number // 4))
     chance = random.Random(seed)

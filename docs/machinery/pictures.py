@@ -1,10 +1,10 @@
-"""The pictures of README and pages, by the commands that the gallery shows below them.
+"""Draw the pictures of the README and the pages with the commands that the gallery shows.
 
-python -m docs.machinery.pictures            all of them, into docs/pictures, in many minutes
-python -m docs.machinery.pictures fig5.png   some
+python -m docs.machinery.pictures            all pictures, into docs/pictures; takes many minutes
+python -m docs.machinery.pictures fig5.png   only the named ones
 
-The last command below a picture ends with a comment: the file that it draws, in `giajax-out`. What
-no command draws is drawn here.
+The last command below a picture ends with a comment that names the file in `giajax-out`. Pictures
+that no command draws are drawn by this module.
 """
 
 import contextlib
@@ -41,11 +41,11 @@ GALLERY = ROOT / "docs" / "gallery.md"
 _SHOWN = re.compile(
     r"!\[[^\]]+\]\(pictures/([\w.]+)\)$.*?^```\n(.*?)^```$", re.DOTALL | re.MULTILINE
 )
-_PACE = 2  # times as fast as the arm
+_PACE = 2  # speed of the animation relative to the arm
 
 
 def _animated() -> None:
-    """The paper's experiment in air and without, from the side."""
+    """Animate the paper's experiment in air and without air, seen from the side."""
     arm = giajax.takeichi_20m()
     still = giajax.replace(arm, {"air.density": 0.0})
     command = giajax.joint_ramps(arm.count, {1: np.deg2rad(30)}, start=0.5, duration=1.0)
@@ -76,7 +76,7 @@ def _animated() -> None:
 
 
 def _in_space() -> None:
-    """The arm in three dimensions at some times, while its first two joints turn."""
+    """Draw the arm in three dimensions at several times, while its first two joints turn."""
     arm = giajax.takeichi_20m()
     angles = {1: np.deg2rad(30), 2: np.deg2rad(-40)}
     times = np.array([0.0, 3.0, 7.0, 25.0])
@@ -84,7 +84,7 @@ def _in_space() -> None:
     scene = giajax.models.arm_scene(giajax.simulate(arm, command, jnp.asarray(times)))
     figure = new_figure(8.6, 4.1, "")
     figure.set_layout_engine("none")
-    # A panel of three dimensions is square, and cuts off what is outside: as wide as the figure.
+    # A 3D panel is square and clips its contents, so it is as wide as the figure.
     panel: Any = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)
     light = LightSource(azdeg=300, altdeg=50)
     for sample, time in enumerate(times):
@@ -114,18 +114,18 @@ def _in_space() -> None:
     (FOLDER / "arm.png").write_bytes(to_png(figure))
 
 
-_SHADES = ("#D9D9D9", "#9ECAE1", "#4C93C0", "#08519C")  # from light to dark, as time goes on
+_SHADES = ("#D9D9D9", "#9ECAE1", "#4C93C0", "#08519C")  # early to late, light to dark
 
 
 def _balloon(ends: np.ndarray, radius: float) -> np.ndarray:
-    """A round body with round ends from one point to another: coordinates of its surface."""
+    """Return surface coordinates of a cylinder with rounded ends between two points."""
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     across = np.cross(along, [0.0, 1.0, 0.0])
     across /= np.linalg.norm(across)
     upright = np.cross(along, across)
     cap = np.linspace(0.0, np.pi / 2, 6)
     length = np.linalg.norm(ends[1] - ends[0])
-    # The round ends are flat: neighbours touch in the middle alone.
+    # Flattened ends: neighbouring bodies touch only at their centres.
     depth = 0.4 * radius
     places = np.concatenate([depth * (1 - np.cos(cap)), length - depth * (1 - np.cos(cap[::-1]))])
     radii = radius * np.concatenate([np.sin(cap), np.sin(cap[::-1])])
@@ -136,7 +136,7 @@ def _balloon(ends: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _wrinkling() -> None:
-    """The explanations of fig. 12 that are nearest to the text."""
+    """Draw the explanations of fig. 12 that are closest to the paper's text."""
     study = one_link()
     trial = study.trial("paper", "none")
     loop = trial.angles[trial.history.measured]
@@ -144,7 +144,7 @@ def _wrinkling() -> None:
 
 
 def _moves() -> None:
-    """The arm of the mock-up, without joint memory, on its way through the opening."""
+    """Draw the planned motion of the mock-up's arm through the opening, without joint memory."""
     stated = giajax.Definition.load(ROOT / "missions" / "naraha.toml").contents()
     del stated["arm"]["parameters"]
     mission = Mission.from_definition(giajax.Definition.parse(stated))
@@ -156,7 +156,7 @@ def _moves() -> None:
 
 
 def _tracking() -> None:
-    """An arm of eight links that is tracked in gusts, by a late camera."""
+    """Draw the tracking of an eight-link arm in gusts, with a delayed camera."""
     model = giajax.replace(giajax.ArmModel(giajax.takeichi_20m_full(8)), {"camera.delay": DELAY})
     run, _ = recorded(model.arm, np.random.default_rng(3), 8)
     wind = first_guess(MEAN, INTENSITY, LENGTH_SCALE, DECAY)
@@ -173,17 +173,17 @@ DRAWN_HERE: dict[str, Callable[[], None]] = {
     "moves.png": _moves,
     "tracking.png": _tracking,
 }
-"""What draws the pictures that no command draws."""
+"""Function that draws each picture without a command."""
 
 
 def shown() -> dict[str, list[str]]:
-    """The command lines of the gallery by the picture that they draw."""
+    """Return the command lines that the gallery shows for each picture."""
     found = _SHOWN.findall(GALLERY.read_text(encoding="utf-8"))
     return {name: block.replace("\\\n", "").splitlines() for name, block in found}
 
 
 def drawn(names: Iterable[str], folder: Path) -> Iterator[tuple[str, bytes]]:
-    """Pictures that commands of the gallery draw in an empty folder, by their names.
+    """Run the commands of the gallery in an empty folder, and yield each picture with its name.
 
     Raises:
         RuntimeError: a command fails.
@@ -205,7 +205,7 @@ def drawn(names: Iterable[str], folder: Path) -> Iterator[tuple[str, bytes]]:
 
 
 def main(wanted: list[str]) -> None:
-    """Draw those that are wanted, or all."""
+    """Draw the named pictures, or all pictures."""
     jax.config.update("jax_enable_x64", True)
     names = [name for name in shown() if not wanted or name in wanted]
     for name in (name for name in names if name in DRAWN_HERE):

@@ -1,8 +1,8 @@
-"""A Sphinx extension: pages that each build makes, and links that leave `docs`.
+"""A Sphinx extension that generates pages at each build and resolves links out of `docs`.
 
-Pages are written for the repository, where a link may lead to `../CONTRIBUTING.md` or to a
-notebook. On the site these are pages, too: they are written to `docs/_generated`, and every link
-to one leads there.
+The pages are written for the repository, where a link may lead to `../CONTRIBUTING.md` or to a
+notebook. On the site, these files are pages, too. They are written to `docs/_generated`, and every
+link to one of them is changed accordingly.
 """
 
 import os
@@ -24,20 +24,20 @@ _LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)\s]*)?\))")
 
 
 def _outside() -> list[Path]:
-    """Markdown and notebooks that are not in `docs` and are pages of the site."""
+    """Return the Markdown files and notebooks outside `docs` that are pages of the site."""
     own = [ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "benchmarks/README.md")]
     return [*own, *sorted((ROOT / "data").rglob("README.md")), *notebooks.paths(ROOT)]
 
 
 def _page(path: Path) -> Path:
-    """Where the page of a file is, as a file that Sphinx reads."""
+    """Return the file that Sphinx reads as the page of a source file."""
     if path == ROOT / "README.md":
         return DOCS / "index.md"
     return MADE / path.relative_to(ROOT).with_suffix(".md") if path in _outside() else path
 
 
 def _outside_texts() -> dict[Path, str]:
-    """The Markdown of each file from outside; every page has a title."""
+    """Return the Markdown of each file from outside `docs`; every page has a title."""
     of = notebooks.paths(ROOT)
     texts = dict(zip(of, notebooks.pages(of), strict=True))
     return {path: texts.get(path) or _text(path) for path in _outside()}
@@ -50,7 +50,7 @@ def _text(path: Path) -> str:
 
 
 def linked(text: str, origin: Path, page: Path) -> str:
-    """Markdown with links that lead, from a page, to where they led from its origin."""
+    """Change the relative links of a Markdown text, which moves from `origin` to `page`."""
 
     def moved(match: re.Match[str]) -> str:
         target = Path(os.path.normpath(origin.parent / match[2]))
@@ -62,7 +62,7 @@ def linked(text: str, origin: Path, page: Path) -> str:
 
 
 def _pages() -> dict[Path, str]:
-    """What is made at each build: the text of each page by its file."""
+    """Return the text of each generated page, by its file."""
     texts = _outside_texts()
     made = {_page(path): linked(text, path, _page(path)) for path, text in texts.items()}
     made[MADE / "commands.md"] = commands.page()
@@ -71,7 +71,7 @@ def _pages() -> dict[Path, str]:
 
 
 def _make(app: Sphinx) -> None:
-    """Write what differs, so that Sphinx reads again what has changed alone."""
+    """Write only the pages that differ, so Sphinx reads only these again."""
     made = _pages()
     for path, text in made.items():
         if not path.exists() or path.read_text(encoding="utf-8") != text:
@@ -82,7 +82,7 @@ def _make(app: Sphinx) -> None:
 
 
 def _read(app: Sphinx, name: str, source: list[str]) -> None:
-    """The front page is the README, and what index.md has comes after it."""
+    """Change the links of a page; the front page is the README followed by index.md."""
     if name.startswith(MADE.name):
         return
     page = DOCS / f"{name}.md"
@@ -94,7 +94,7 @@ def _read(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def _find(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: Any) -> Any:
-    """A class that an annotation names by its private module, under its public name."""
+    """Resolve a class that an annotation names by its private module to its public name."""
     if node["refdomain"] != "py":
         return None
     last = node["reftarget"].rpartition(".")[2]
@@ -108,7 +108,7 @@ def _find(app: Sphinx, env: BuildEnvironment, node: pending_xref, content: Any) 
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """What Sphinx calls."""
+    """Connect the functions to Sphinx."""
     app.connect("builder-inited", _make)
     app.connect("source-read", _read)
     app.connect("missing-reference", _find)

@@ -1,9 +1,9 @@
-"""Tables of pages that are made from what giajax declares.
+"""Generate tables of the pages from the declarations of giajax.
 
-    python -m docs.machinery.tables     write them into the pages that have them
+    python -m docs.machinery.tables     write the tables into their pages
 
-A page has a table between two comments, `<!-- table: NAME -->` and `<!-- end of table -->`. The
-tests ask whether each is as its declarations make it.
+In a page, a table is between two comments, `<!-- table: NAME -->` and `<!-- end of table -->`. The
+tests check that each table agrees with the declarations.
 """
 
 import ast
@@ -28,7 +28,7 @@ _TABLE = re.compile(r"(<!-- table: ([\w ]+) -->\n\n).*?(<!-- end of table -->)",
 
 
 def _assumed(model: eqx.Module) -> Iterator[str]:
-    """A row for each parameter whose default has no source."""
+    """Yield a row for each parameter whose default has no source."""
     yield "| parameter | assumed | unit | meaning |"
     yield "| --- | --- | --- | --- |"
     for path, parameter in giajax.declared(model).items():
@@ -39,7 +39,7 @@ def _assumed(model: eqx.Module) -> Iterator[str]:
 
 
 def _assumed_filling() -> Iterator[str]:
-    """The same of a filling, without what is assumed of its arm."""
+    """Yield the same rows for a filling, without those of its arm."""
     arm = giajax.declared(giajax.takeichi_20m())
     for row in _assumed(giajax.mechanics.inflation.Filling()):
         if not any(row.startswith(f"| `{path}` ") for path in arm):
@@ -47,7 +47,7 @@ def _assumed_filling() -> Iterator[str]:
 
 
 def _assumed_unrolling() -> Iterator[str]:
-    """The same of an unrolling, without what is assumed of its filling."""
+    """Yield the same rows for an unrolling, without those of its filling."""
     filling = giajax.declared(giajax.mechanics.inflation.Filling())
     for row in _assumed(giajax.mechanics.unrolling.Unrolling()):
         if not any(row.startswith(f"| `{path}` ") for path in filling):
@@ -55,7 +55,7 @@ def _assumed_unrolling() -> Iterator[str]:
 
 
 def _keys_of(section: type[Section]) -> Iterator[str]:
-    """A row for each key of a section."""
+    """Yield a row for each key of a section."""
     yield "| key | must be | unless stated | meaning |"
     yield "| --- | --- | --- | --- |"
     for key, field in section.model_fields.items():
@@ -66,7 +66,7 @@ def _keys_of(section: type[Section]) -> Iterator[str]:
 
 
 def _channels() -> Iterator[str]:
-    """A row for each channel that means the same to some kinds of models."""
+    """Yield a row for each channel, with the kinds of models for which it has the same meaning."""
     yield "| channel | model | part | values |"
     yield "| --- | --- | --- | --- |"
     yield "| `time` | any | input | time |"
@@ -81,7 +81,7 @@ def _channels() -> Iterator[str]:
 
 
 def _keys() -> Iterator[str]:
-    """A row for each key that states a parameter."""
+    """Yield a row for each key that sets a parameter."""
     yield "| key | parameter | unless stated | meaning |"
     yield "| --- | --- | --- | --- |"
     for kind in KINDS.values():
@@ -97,7 +97,7 @@ def _keys() -> Iterator[str]:
 
 
 def _old_forms() -> Iterator[str]:
-    """A row for each old form of the command line."""
+    """Yield a row for each former form of the command line."""
     yield "| earlier | now | until |"
     yield "| --- | --- | --- |"
     for old, new in old_forms():
@@ -105,7 +105,7 @@ def _old_forms() -> Iterator[str]:
 
 
 def _files(room: str) -> Iterator[str]:
-    """A row for each file of a room, by the first sentence of its docstring."""
+    """Yield a row for each file of a package, with the first line of its docstring."""
     yield "| file | contents |"
     yield "| --- | --- |"
     folder = SOURCE / room
@@ -130,16 +130,16 @@ TABLES: dict[str, Callable[[], Iterator[str]]] = {
     "old forms": _old_forms,
     **{f"files {room}": functools.partial(_files, room) for room in ROOMS},
 }
-"""What makes the rows of each table, by its name."""
+"""Function that yields the rows of each table, by the name of the table."""
 
 
 def names(text: str) -> list[str]:
-    """The tables of a page."""
+    """Return the names of the tables in a page."""
     return [match[2] for match in _TABLE.finditer(text)]
 
 
 def written(text: str) -> str:
-    """A page with its tables as the declarations make them."""
+    """Return a page with its tables generated from the declarations."""
     return _TABLE.sub(lambda match: f"{match[1]}{_markdown(match[2])}\n{match[3]}", text)
 
 
@@ -148,7 +148,7 @@ def _markdown(name: str) -> str:
 
 
 def main() -> None:
-    """Write every table into its page."""
+    """Write all tables into their pages."""
     for page in sorted(DOCS.glob("*.md")):
         text = page.read_text(encoding="utf-8")
         if (new := written(text)) != text:

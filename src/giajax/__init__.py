@@ -1,11 +1,12 @@
-"""A differentiable simulator of very long, very light, air-dominated robot arms.
+"""Differentiable simulator of very long, very light, air-dominated robot arms.
 
-A name stands here where a notebook writes it on the way from a recording or an arm to a fit, its
-studies and its files; parts of an arm, equations, and what is only returned are in their rooms.
+This package contains the names that a notebook needs between a recording or an arm and a fit, its
+studies and its files. Parts of an arm, equations, and classes that are only returned are in the
+subpackages.
 
 The public names are listed once, in `__init__.pyi`, which editors and type checkers read too. Each
-is imported from its room when it is first used (SPEC 1), so that what needs no JAX (reading runs,
-the command line's help) starts without it.
+name is imported from its subpackage when it is first used (SPEC 1), so code that does not need JAX
+(reading runs, help of the command line) starts without it.
 """
 
 import importlib
@@ -21,7 +22,7 @@ install(__path__)
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first used."""
+    """Return a public name, which is imported when it is first used."""
     if name in MOVED:
         return importlib.import_module(f"{__name__}.{name}")
     return _earlier(name) if name in RENAMED[""] else _current(name)

@@ -1,4 +1,4 @@
-"""The command `giajax`, and `python -m giajax`: it listens for signals before all else."""
+"""The command `giajax`, and `python -m giajax`; signal handlers are installed first."""
 
 import contextlib
 import gc
@@ -7,8 +7,8 @@ import sys
 
 from .runtime.process import listen, own_process, stopped_status
 
-# Imports and tracing make millions of objects that stay: to look through them for cycles as often
-# as Python does by default takes a tenth of a fit's time.
+# Imports and tracing create millions of permanent objects. With Python's default thresholds,
+# searching them for cycles takes a tenth of the time of a fit.
 _OBJECTS = 100_000
 
 
@@ -21,25 +21,28 @@ def main() -> int:
     _open_streams()
     listen()
     gc.set_threshold(_OBJECTS, 50, 100)
-    # The matrices of NumPy and SciPy are small here, and threads of theirs wait for each other by
-    # keeping the cores busy; read when NumPy is imported.
+    # The matrices of NumPy and SciPy are small here, and waiting BLAS threads keep the cores busy.
+    # The variable is read when NumPy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # This one is read when Equinox is imported, which some commands need to check their arguments.
+    # JAX does not store programs that can raise errors: `configure` explains it.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
     try:
         from .cli import main as command_line
 
         own_process()
         return command_line()
-    except KeyboardInterrupt:  # while the command line was imported
+    except KeyboardInterrupt:  # during the import of the command line
         with contextlib.suppress(OSError):
             print("giajax: interrupted", file=sys.stderr, flush=True)
         return stopped_status()
 
 
 def _open_streams() -> None:
-    """Have all standard streams, and in them a form of every character, before all else.
+    """Open all closed standard streams, and let output streams accept every character.
 
-    The next file that is opened would else have the number of one that was closed (`>&-`), and be
-    written to by what prints.
+    Otherwise the next opened file would get the number of a closed stream (`>&-`), and printed
+    output would be written to it.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:

@@ -1,4 +1,4 @@
-"""Checks of classes of one's own, each one line of a test: what is wrong is an `InputError`."""
+"""Checks of user-defined classes, one line per test; problems are reported as `InputError`."""
 
 from .fitting import check_loss as check_loss
 from .mechanics.arm import (

@@ -1,4 +1,4 @@
-"""Arms from MJCF and URDF move as in MuJoCo, and go back into it with their air."""
+"""Arms from MJCF and URDF move as in MuJoCo, and can be exported with their air."""
 
 import importlib.util
 
@@ -24,7 +24,7 @@ CAPSULES = """<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><wo
 <geom type="box" size="0.15 0.04 0.01" pos="0.15 0 0" mass="0.15"/></body></body></body>
 </worldbody></mujoco>"""
 
-# It hangs along x, the direction of its gravity; its straight pose is another than its file's.
+# The arm hangs along x, the direction of gravity. Its straight pose differs from the file's pose.
 HANGING = """<mujoco><compiler angle="degree"/><option gravity="9.81 0 0"/><worldbody>
 <body euler="0 20 0"><joint name="first" axis="0 1 0" ref="20" damping="0.02"/>
 <inertial pos="0.2 0 0" mass="0.3" diaginertia="0.001 0.02 0.02"/><geom size="0.01"/>
@@ -58,7 +58,7 @@ def written(folder, name, text):
 
 
 def moved(arm, rest, angles):
-    """Angles of an arm in still air whose springs rest where they do, from rest at some angles."""
+    """Return the angles of an arm released in still air; its springs rest as in the file."""
     command = giajax.simulation.constant(rest)
     start = (jnp.asarray(angles), jnp.zeros(arm.count))
     motion = giajax.simulate(arm, command, TIMES, initial=start, rtol=1e-9, atol=1e-11)
@@ -67,7 +67,7 @@ def moved(arm, rest, angles):
 
 @eqx.filter_jit
 def starts_to_move(arm, angles, rates, rest):
-    """Its accelerations in a state, and where its links are."""
+    """Return the accelerations in a state, and the positions of the links."""
     return acceleration(arm, angles, rates, rest), pose(arm, angles).mass_centre
 
 
@@ -179,8 +179,8 @@ def test_what_is_lost_is_said(tmp_path):
         (CAPSULES.replace('name="elbow"', 'name="elbow" type="slide"'), "'elbow' is not a hinge"),
         (CAPSULES.replace('body pos="0.4 0 0"', 'body pos="0.4 0 0.1"'), "'wrist' is 0.1 m away"),
         (CAPSULES.replace('body pos="0.5 0 0"', 'body pos="0 0 0"'), "'shoulder' has no length"),
-        (ROBOT.replace('parent link="l1"', 'parent link="base"'), "is a tree"),
-        (ROBOT, "no geom states the diameter"),
+        (ROBOT.replace('parent link="l1"', 'parent link="base"'), "describes a tree"),
+        (ROBOT, "no geom gives the diameter"),
         (
             HANGING.replace("<inertial", '<joint name="two" axis="0 0 1"/><inertial', 1),
             "two joints",
@@ -197,7 +197,7 @@ def test_the_command_makes_a_file_of_an_arm_and_back(tmp_path, capsys):
     path, stated = written(tmp_path, "arm.xml", CAPSULES), tmp_path / "arm.toml"
     assert main(["mjcf", str(path), "--to", str(stated)]) == 0
     assert "command these angles: 11.4592, 0, 0 deg" in capsys.readouterr().err
-    assert main(["mjcf", str(path), "--to", str(stated)]) == 2  # nothing is written over
+    assert main(["mjcf", str(path), "--to", str(stated)]) == 2  # no file is overwritten
     assert main(["mjcf", str(stated), "--to", str(tmp_path / "back")]) == 0
     assert main(["mjcf", str(stated)]) == 2
     back = read_mjcf(tmp_path / "back" / "arm.xml").arm

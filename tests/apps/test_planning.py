@@ -1,4 +1,4 @@
-"""Planned commands: derivatives, limits, a linear programme, and arms that are simulated."""
+"""Planned commands: derivatives, limits, a linear programme, and simulated arms."""
 
 import dataclasses
 import json
@@ -39,7 +39,7 @@ def fastest():
 
 
 def tips_by(arm, command, times, initial, solver="tsit5", tolerance=1e-8):
-    """By another integrator, closer."""
+    """Return the positions of the tip by another integrator with a smaller tolerance."""
     motion = simulate(
         arm, command.signal(len(command.times)), times, initial=(initial, np.zeros(arm.count)),
         solver=solver, rtol=tolerance, atol=tolerance,
@@ -59,7 +59,7 @@ def test_a_plan_keeps_to_the_limits_and_ends_at_rest_by_another_integrator(faste
     tips = tips_by(arm(), command, times, fastest.planned.angles[0])
     off = np.linalg.norm(tips[1:] - fastest.goal, axis=1)
     assert np.max(off) <= fastest.within * fastest.travel
-    # Without the plan it is not there yet, and later.
+    # Without the plan, the arm settles later.
     assert (fastest.direct.settled or np.inf) > 1.5 * fastest.planned.settled
     assert fastest.direct.residual > 3 * fastest.planned.residual
 
@@ -77,14 +77,14 @@ def test_a_longer_command_leaves_less_and_is_as_long_as_it_is_to_be(fastest):
 
 
 def test_values_of_a_plan_have_their_slopes(fastest):
-    """By the duration and by coefficients, against differences."""
+    """Derivatives with respect to the duration and the coefficients, against differences."""
     problem = fastest.problem
     rng = np.random.default_rng(0)
     y = problem.start.copy()
     y[1:-2] += 0.2 * rng.normal(size=len(y) - 3)
     slopes = problem.slopes(y)
     for place in (0, 1, 5, len(y) - 2):
-        # Longer than what the tolerance of the motion leaves open.
+        # The difference must be larger than the tolerance of the motion.
         step = 3e-3
         one, other = y.copy(), y.copy()
         one[place] += step
@@ -94,7 +94,7 @@ def test_values_of_a_plan_have_their_slopes(fastest):
 
 
 def test_the_least_time_of_a_linear_arm_is_that_of_a_linear_programme():
-    """One link that hardly moves, without air: an oscillator, linear in the knots."""
+    """One link with small motions and without air is an oscillator that is linear in the knots."""
     still = {"air.density": 1e-6, "joints.damping": 0.05}
     one = takeichi_20m(1, parameters=still)
     goal, limits, knots = np.deg2rad(1.0), CommandLimits(rate=np.deg2rad(10.0)), 8
@@ -103,7 +103,7 @@ def test_the_least_time_of_a_linear_arm_is_that_of_a_linear_programme():
     )
     rest = found.planned.angles[-1, 0]
 
-    # The oscillator by differences of the arm itself.
+    # Linearise the oscillator by differences of the arm itself.
     def pulled(q, v, u):
         each = (jnp.asarray([float(x)]) for x in (q, v, u))
         return float(acceleration(one, *each)[0])
@@ -114,7 +114,7 @@ def test_the_least_time_of_a_linear_arm_is_that_of_a_linear_programme():
     system[0, 1], system[1, :3], system[2, 3] = 1, by, 1
 
     def feasible(duration):
-        """Whether knots exist by which it is near after the command: all is linear in them."""
+        """Return whether knots exist with which it settles after the command (a linear problem)."""
         step, period = duration / knots, found.period
         across = expm(system * step)
         columns = []
@@ -182,7 +182,7 @@ def beside(arm, *things):
 
 @pytest.mark.slow
 def test_a_link_is_bent_to_keep_clear_of_what_the_direct_way_is_too_near():
-    """The outstretched arm passes a box at 0.1 m."""
+    """The straight arm passes a box at a distance of 0.1 m."""
     begin, pose = np.deg2rad([[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
     around = beside(arm(), BOX)
     found = plan_command(ArmModel(around), Pose(pose), begin=begin, limits=LIMITS, draw_count=0)
@@ -196,7 +196,7 @@ def test_a_link_is_bent_to_keep_clear_of_what_the_direct_way_is_too_near():
     gaps = jax.vmap(lambda each: clearance(around, each))(motion.angles)
     assert float(jnp.min(gaps)) > LIMITS.clearance - 0.01
     assert found.planned.clearance == pytest.approx(float(jnp.min(gaps)), abs=0.02)
-    # It bends a joint that is straight in the beginning and in the end.
+    # The planned command bends a joint that is straight at the start and at the end.
     assert np.max(np.abs(command.angles[:, 2])) > np.deg2rad(10)
 
 
@@ -212,7 +212,7 @@ def test_ends_too_near_an_obstacle_are_refused_by_its_name():
 
 
 def test_a_way_past_the_opening_is_refused():
-    # Its outer face is towards the base.
+    # The outer face of the wall is towards the base.
     wall = WallWithOpening([2.0, 0.0, 0.0], [1.0, 1.0], [4.0] * 4, 0.2, [0.0, 0.0, np.pi])
     around, target = beside(arm(), wall), Through()
     x = np.linspace(0.0, 3.0, 20)
@@ -236,17 +236,17 @@ def test_joints_that_remember_stay_near_for_three_periods():
     off = np.linalg.norm(tips[1:] - found.goal, axis=1)
     assert np.max(off) <= 1.1 * found.within * found.travel
     assert found.direct.missed > 5 * found.planned.missed
-    # The pose is not held by its own command.
+    # Because of hysteresis, the final command differs from the pose.
     assert np.max(np.abs(command.angles[-1] - POSE)) > np.deg2rad(0.1)
 
 
 @pytest.mark.long
 def test_the_paper_s_arm_goes_through_the_opening():
-    """Clear of the housetop by a simulation of its own, and much sooner than directly."""
+    """A separate simulation clears the housetop, and is much faster than the direct command."""
     from giajax.apps.mission import Mission
 
     stated = Definition.load("missions/naraha.toml").contents()
-    del stated["arm"]["parameters"]  # joints without memory
+    del stated["arm"]["parameters"]  # joints without hysteresis
     mission = Mission.from_definition(Definition.parse(stated))
     model, opening = mission.model, mission.opening
     target = Through("housetop", approach=np.asarray(mission.operator.approach))
@@ -337,7 +337,7 @@ def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, 
 
 @pytest.mark.slow
 def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, capsys):
-    """Drives that lag; the rehearsal has nothing but the written command and its sidecar."""
+    """The drives have a lag; the rehearsal uses only the written command and its sidecar."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.toml").write_text(f'{FILE}\n[arm.parameters]\n"joints.drive_lag" = 0.3\n')
     rows = ["time_s,joint01_command_deg,joint02_command_deg"]

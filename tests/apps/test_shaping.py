@@ -1,4 +1,4 @@
-"""Shaped commands: closed forms, an oscillator of scipy's, and an arm that is simulated."""
+"""Shaped commands: closed forms, an oscillator integrated by scipy, and a simulated arm."""
 
 import itertools
 import json
@@ -42,12 +42,12 @@ def test_impulses_pull_one_way_and_add_up_to_one(name, damping):
 def test_what_is_left_where_period_and_damping_are_right_and_near(damping):
     once, twice, robust = (shaper.impulses(30.0, damping) for shaper in SHAPERS.values())
     assert once.left(30.0, damping) < 1e-12
-    assert twice.left(30.0, damping) < 1e-9  # times are rounded
+    assert twice.left(30.0, damping) < 1e-9  # the times are rounded
     assert robust.left(30.0, damping) == pytest.approx(INSENSITIVITY, abs=1e-8)
-    # The derivative by the period is that of differences.
+    # The derivative with respect to the period vanishes.
     near = 30.0 * 1.001
     assert twice.left(near, damping) < 0.01 * once.left(near, damping)
-    # Nothing is left of a slower mode, and nothing of a faster one.
+    # The residual swing also vanishes for one slower and one faster mode.
     for near in ((30.0, 60.0), (15.0, 30.0)):
         least = minimize_scalar(lambda at: robust.left(at, damping), bounds=near, method="bounded")
         assert least.fun < 1e-4
@@ -69,7 +69,7 @@ def test_without_damping_the_impulses_are_those_of_the_papers():
 
 @pytest.mark.parametrize("name", SHAPERS)
 def test_an_oscillator_of_scipys_swings_by_what_is_said_to_be_left(name):
-    """A damped spring whose other end is moved by a shaped ramp, with a period 10 % off."""
+    """A shaped ramp moves the other end of a damped spring, with a period that is 10 % off."""
     period, damping, off = 5.0, 0.1, 1.1
     impulses = SHAPERS[name].impulses(period, damping)
     ramp = Command(np.array([0.0, 0.7]), np.array([[0.0], [1.0]]))
@@ -120,13 +120,13 @@ def test_a_mode_of_one_link_is_a_pendulum_with_drag_by_harmonic_balance():
     (mode,) = modes_after(arm, moved(0.1, 1))
     assert mode.period == pytest.approx(2 * np.pi * np.sqrt(mass / stiffness), rel=1e-9)
     length = float(arm.links.length[0])
-    # A step leaves a swing as large as itself.
+    # A step leaves a swing of its own size.
     assert mode.swing == pytest.approx(0.1 * length, rel=1e-3)
-    # The torque of drag at the link's centre, per square of the rate.
+    # Torque of the drag at the centre of the link, divided by the square of the rate.
     centre = float(arm.links.centre_of_mass[0])
     drag = 0.5 * float(arm.air.density) * float(arm.air.drag_coefficient)
     drag *= float(arm.links.diameter[0]) * length * centre**3
-    # Half of the swing; the mean power of a cubed cosine is 4 / (3 pi).
+    # Half of the swing; the mean of a cubed cosine gives 4 / (3 pi).
     expected = 4 / (3 * np.pi) * drag * 0.05 / mass
     assert mode.damping == pytest.approx(expected, rel=2e-3)
 
@@ -142,14 +142,14 @@ def test_a_damper_has_the_damping_of_a_damper():
 
 @pytest.fixture(scope="module")
 def short():
-    """Three links in air that moves with them."""
+    """Three links whose surrounding air moves with them."""
     return ArmModel(takeichi_20m_full(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("swings", [0.5, 1.0, 1.5])
 def test_a_shaped_command_leaves_little_swing(short, swings):
-    """2 % of the travel, and 5 % where the stiffness is a quarter off (ZVD, EI)."""
+    """2 % of the travel, and 5 % if the stiffness is 25 % off (ZVD, EI)."""
     period = modes_after(short.arm, moved(0.2, 3))[0].period
     found = shape_command(short, moved(0.2, 3, swings * period))
     before, *shaped = found.rows
@@ -181,7 +181,7 @@ def untuned(arm, command):
 
 @pytest.mark.slow
 def test_a_command_that_begins_elsewhere_is_the_same_move():
-    """The arm rests by its first row: there is no swing of a false start."""
+    """The arm rests at the position of the first row, so there is no swing from a false start."""
     arm = takeichi_20m_full(3, parameters={"gravity": 0.0})
     base = np.deg2rad([[30.0, 0, 0], [31.0, 0, 0]])
     times = np.array([0.0, 1.0])
@@ -261,7 +261,7 @@ def test_the_command_writes_commands_that_can_be_driven(files, capsys):
     assert angles[-1] == pytest.approx(10.0)
     assert np.all(np.diff(angles) >= -1e-9)
     assert run.times[-1] >= 6 + facts["commands"][1]["longer_s"] - 1e-6
-    # The line that is printed rehearses the arm that was shaped for.
+    # The printed command line rehearses the arm for which the command was shaped.
     printed = next(line for line in said.splitlines() if line.startswith("next: giajax "))
     assert main(shlex.split(printed)[2:]) == 0
     rehearsed = read_run(files / "rehearsal.csv")

@@ -1,4 +1,4 @@
-"""An arm that is tracked: motions that giajax simulates, seen late, with noise and in a wind."""
+"""Tracking of an arm in simulated motions, with delays, noise and wind."""
 
 import csv
 import dataclasses
@@ -54,7 +54,7 @@ def moved(arm, times, wind=None):
 
 
 def recorded(arm, *, late=0.0, wind=None, seed=0, lasts=20.0):
-    """A run with the tip `late` s later than the encoder, and the motion at the exposures."""
+    """Return a run with the tip delayed by `late` s, and the motion at the exposures."""
     stamps = np.linspace(0.0, lasts, round(10 * lasts) + 1)
     times = np.unique(np.concatenate([stamps, stamps - late]).round(9))
     motion, command = moved(arm, times - times[0], wind)
@@ -72,7 +72,7 @@ def recorded(arm, *, late=0.0, wind=None, seed=0, lasts=20.0):
 
 
 def off(found, times, true):
-    """Errors of angles and rates at the events that the truth has, and their covariances."""
+    """Return errors of angles and rates at events with a known truth, and their covariances."""
     at = np.minimum(np.searchsorted(times, found.times.round(9)), len(times) - 1)
     same = np.abs(times[at] - found.times) < 1e-6
     states = found.filtered
@@ -95,7 +95,7 @@ def test_a_step_is_that_of_the_simulation_and_its_derivatives_are_differences(mo
     vector = jnp.asarray(0.1 * rng.normal(size=known.size))
     vector = vector.at[known.slices()["mean flow"]].set(jnp.asarray([0.0, 0.3, 0.0]))
     vector = vector.at[known.slices()["parameters"]].set(1.2)
-    # Derivatives are those of the motion, to the order of the step: a short one here.
+    # The derivatives are those of the motion, to the order of the step, which is short here.
     held = Held(
         jnp.asarray(0.0),
         jnp.asarray(0.01),
@@ -117,7 +117,7 @@ def test_a_step_is_that_of_the_simulation_and_its_derivatives_are_differences(mo
         np.testing.assert_allclose(
             (shown(up)[0] - shown(down)[0]) / (2 * size), shows[:, index], atol=2e-6
         )
-    # Without chance the arm moves as `simulate` has it, in a wind that stays.
+    # Without process noise, the arm moves as in `simulate`, in a constant wind.
     start = jnp.zeros(known.size)
     flow = jnp.asarray([0.0, 0.3, 0.0])
     start = start.at[known.slices()["mean flow"]].set(flow)
@@ -147,13 +147,13 @@ def test_the_states_of_a_late_camera_are_known_as_well_as_is_said(model):
     square, share = nees(found, truth)
     expected = np.mean(np.einsum("ti,tij,tj->t", errors, np.linalg.inv(covariances), errors))
     assert square == pytest.approx(expected / errors.shape[1])
-    assert square < 1.3  # nothing but noise is random here
+    assert square < 1.3  # measurement noise is the only random effect
     assert share > 0.93
     with pytest.raises(InputError, match="no true angle or rate"):
         nees(found, Run.from_arrays(times, driven | {"tip_x": tip[:, 0]}))
     verdict = judge(late, found)
     assert verdict.adequate, verdict.sentence
-    # The smoother knows more than the filter, which knows more than what comes too late.
+    # The smoother is more accurate than the filter, which is more accurate than the prediction.
     assert np.mean(found.smoothed.tip_deviations) < 0.9 * np.mean(found.filtered.tip_deviations)
     assert found.now is not None
     assert np.mean(found.now.tip_deviations[20:]) > np.mean(found.filtered.tip_deviations[20:])
@@ -168,7 +168,7 @@ def test_a_wind_that_is_missing_is_called_and_one_that_is_tracked_is_found(model
     without = judge(model, track(model, run))
     assert not without.adequate
     assert any(cause.name == "a wind with gusts" for cause in without.causes)
-    # From the opposite of it.
+    # The initial estimate has the opposite direction.
     steady = dataclasses.replace(WIND, mean=np.array([0.0, -0.2, 0.0]), deviation=1e-3)
     air = Air(steady, 0.1, drift=1e-3, places=2)
     found = track(model, run, unknown=Unknown(air=air))
@@ -198,14 +198,14 @@ def test_a_bias_is_found_outliers_do_not_count_and_what_is_not_seen_is_named(mod
     assert found.nis[event] > 50**2
     assert np.max(np.abs(found.whitened)) < 6
     assert np.sum(found.there & ~found.used) == 1
-    # The filter is not moved, and neither is the verdict by one outlier.
+    # One outlier affects neither the filter nor the verdict.
     assert np.max(found.nis) > 1e4
     assert judge(model, found, look=False).adequate
 
 
 def test_what_channels_do_not_show_is_named_before_anything_is_measured(model):
     run, *_ = recorded(model.arm)
-    # A bias of the camera is not seen where only the command says where the tip is.
+    # A bias of the camera is unobservable if only the command determines the position of the tip.
     biases = (Bias(("tip_x",), 1e-4), Bias(("tip_y",), 0.1))
     unknown = Unknown(biases=biases, torque=1e-2)
     hidden = unseen(model, run, unknown=unknown)
@@ -216,7 +216,7 @@ def test_what_channels_do_not_show_is_named_before_anything_is_measured(model):
     values = {name: column + 1.0 for name, column in run.values.items() if "command" not in name}
     commands = {name: column for name, column in run.values.items() if "command" in name}
     other = Run.from_arrays(run.times, values | commands, noise=NOISE)
-    # But for the start, which the first rows decide.
+    # The result is the same, apart from the start, which depends on the first rows.
     again = unseen(model, other, unknown=unknown)
     assert [row[0] for row in again] == ["bias 1"]
     assert again[0][2] == pytest.approx(after, rel=1e-3)
@@ -260,7 +260,7 @@ def test_rows_one_by_one_and_out_of_order_end_where_the_whole_run_does(model):
         {"time": time, **{name: run.values[name][k] for name in run.values}}
         for k, time in enumerate(run.times)
     ]
-    # Neighbours are swapped: what the camera and the encoder measured is out of order, too.
+    # Swap neighbouring rows, so the measurements of the camera and the encoder are out of order.
     commands = [
         {key: v for key, v in row.items() if "command" in key or key == "time"} for row in rows
     ]
@@ -281,7 +281,7 @@ def test_rows_one_by_one_and_out_of_order_end_where_the_whole_run_does(model):
 
 def test_a_run_that_is_followed_knows_its_wind_its_start_and_its_noise(model, tmp_path):
     times = np.linspace(0.0, 12.0, 25)
-    # A command that moved on a line until 11 s would be half a second early.
+    # A command interpolated linearly until 11 s would be half a second early.
     angle = np.where(times < 2.0, 0.0, np.where(times < 11.0, 0.3, 0.9))
     command = giajax.simulation.steps(times, angle[:, None] * np.eye(LINKS)[0])
     wind, begun = [0.0, 0.3, 0.0], np.array([0.2, 0.0, -0.1, 0.0])
@@ -324,7 +324,7 @@ def test_what_cannot_be_tracked_is_refused(model):
     with pytest.raises(InputError, match=r"the noise of .* is unknown"):
         track(model, quiet)
     joint = giajax.model_for([giajax.read_run(DATA / "joint.csv")])
-    with pytest.raises(InputError, match="an arm is required"):
+    with pytest.raises(InputError, match="an arm model is required"):
         track(joint, run)
     with pytest.raises(InputError, match=r"clock_rate is 0\.01"):
         track(replace(model, {"camera.clock_rate": 0.01}), run)
@@ -335,7 +335,7 @@ def test_what_cannot_be_tracked_is_refused(model):
     )
     with pytest.raises(InputError, match="tracking needs commanded angles"):
         track(model, torque)
-    with pytest.raises(InputError, match="gusts are to be tracked at 9 places"):
+    with pytest.raises(InputError, match="gusts are tracked is 9: give a number"):
         track(model, run, unknown=Unknown(air=Air(WIND, 0.1, places=9)))
     with pytest.raises(InputError, match="must be a positive number in SI units"):
         giajax.Tracker(model, noise={})
@@ -382,7 +382,7 @@ TIP = {f"tip_{axis}": 0.005 for axis in "xyz"}
 
 
 def leaking(arm, *, at=30.0, left=0.8, lasts=60.0, moves=True, rate=5, pushed=0.4):
-    """A run of an arm whose pitch stiffness falls, for which its base is moved again and again."""
+    """Simulate an arm whose pitch stiffness decreases while its base moves repeatedly."""
     times = np.linspace(0.0, lasts, round(rate * lasts) + 1)
     rng = np.random.default_rng(3)
     begins = np.arange(0.0, lasts + 1, 5.0)
@@ -409,7 +409,7 @@ def still_arm():
 
 def test_a_leak_is_found_with_its_time_and_followed(still_arm):
     value = float(still_arm.joints.pitch_stiffness)
-    # From a stiffness that is a tenth off.
+    # The initial guess of the stiffness is 10 % off.
     model = giajax.ArmModel(replace(still_arm, {STIFFNESS: 1.1 * value}))
     unknown = Unknown(estimated={STIFFNESS: 0.2 * value})
     run = leaking(still_arm)
@@ -426,7 +426,7 @@ def test_a_leak_is_found_with_its_time_and_followed(still_arm):
             assert states.parameters[STIFFNESS][event] == pytest.approx(true, abs=wide * error)
             assert error < 0.03 * value
 
-    # Row by row it is the same, and in the end as well known.
+    # Tracking row by row gives the same change, and the same accuracy at the end.
     tracker = giajax.Tracker(model, noise=TIP, unknown=unknown, angles=[0] * LINKS)
     for k, time in enumerate(run.times):
         last = tracker.update({"time": time, **{name: run.values[name][k] for name in run.values}})
@@ -438,14 +438,14 @@ def test_a_leak_is_found_with_its_time_and_followed(still_arm):
 
     sound = track(model, leaking(still_arm, left=1.0), unknown=unknown)
     assert sound.changes == ()
-    # Of an arm that rests nothing is learnt, and nothing is said to change.
+    # An arm at rest gives no information, and no change is reported.
     rests = track(model, leaking(still_arm, moves=False), unknown=unknown)
     assert rests.changes == ()
     assert rests.smoothed.parameter_deviations[STIFFNESS][-1] > 0.9 * 0.2 * value
 
 
 def test_a_slow_arm_is_learnt_from_at_a_hundred_rows_a_second(still_arm):
-    # Within a second it moves by less than the noise.
+    # Within one second, the arm moves by less than the noise.
     run = leaking(still_arm, left=1.0, at=10.0, lasts=20.0, rate=100, pushed=0.3)
     noise = {f"tip_{axis}": 0.05 for axis in "xyz"}
     rng = np.random.default_rng(4)
@@ -463,10 +463,10 @@ def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
     drag = "air.drag_coefficient"
     run = leaking(still_arm, left=1.0)
     true = float(still_arm.air.drag_coefficient)
-    # From twice the drag: linearised about that on the way, the filter alone is too far off.
+    # Starting from twice the drag, the linearisation errors of the filter alone are too large.
     model = giajax.ArmModel(replace(still_arm, {drag: 2.0 * true}))
     fitted = giajax.fit(model, run, free=[drag], nuisances=False).parameters[drag]
-    # Of a start that is as sure as it is to the fit, and of a model that is exact.
+    # As in the fit, the initial state and the model are exact.
     unknown = Unknown(estimated={drag: 0.6 * true}, torque=1e-9, at_start=(1e-7, 1e-7))
     found = track(model, run, unknown=unknown)
     assert fitted.standard_error is not None
@@ -494,7 +494,7 @@ def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(stil
     assert any("with 2 times this torque" in note for note in notes)
     assert np.all(np.isfinite(found.smoothed.mean))
     assert any("the state became infinite; repeating with" in line for line in said)
-    # Where somebody says how much torque is unmodelled, it is that.
+    # A given unmodelled torque is not changed.
     run = leaking(still_arm, at=2.0, left=1.0, lasts=5.0)
     with pytest.raises(InputError, match="its state becomes infinite: allow more"):
         track(model, run, unknown=Unknown(torque=np.nan))
@@ -531,7 +531,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     (change,) = facts["changes"]
     assert change["time"] == pytest.approx(20.0, abs=3.0)
 
-    # A file that ends within a line, and goes on.
+    # The file ends within a line, and is continued later.
     rows = whole.splitlines(keepends=True)
     growing = tmp_path / "growing.csv"
     growing.write_bytes(b"".join(rows[:30]) + rows[30][:5])
@@ -572,7 +572,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
         )
         assert says in capsys.readouterr().err
 
-    # Lines that are no rows cost nothing but themselves.
+    # Lines that are not valid rows are skipped, and do not affect other rows.
     wrong = rows[:20]
     wrong[10:10] = [b"\n", rows[9], b"1,2\n", b",".join([b"x"] * rows[0].count(b",")) + b",1\n"]
     whole = b"".join([b"\n", *wrong, rows[20][:-4]])
@@ -583,7 +583,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     assert named == [13, 14, 15, 26]
     assert (tmp_path / "some" / "recorded.csv").read_bytes() == b"".join(rows[:20])
 
-    # Nor do those that the whole run could not have; and sensors may take turns.
+    # Rows that are impossible in the whole run are skipped, too. Sensors may alternate.
     names = rows[0].decode().strip().split(",")
     table = [dict(zip(names, row.decode().strip().split(","), strict=True)) for row in rows[1:30]]
     for k, row in enumerate(table):
@@ -601,7 +601,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     assert main(["track", "-", *given, "--out", str(tmp_path / "no")]) == 2
     assert "before its second row" in capsys.readouterr().err
 
-    # A checksum in the sidecar is of the run once it is complete.
+    # A checksum in the sidecar is that of the complete run.
     stated_there = path.with_suffix(".toml").read_text()
     assert "sha256" in stated_there
     growing.with_suffix(".toml").write_text(stated_there)

@@ -40,7 +40,7 @@ class Interval(NamedTuple):
 
 
 class Chain(eqx.Module):
-    """Masses and springs under random forces, of which some positions are measured."""
+    """Masses and springs under random forces; some positions are measured."""
 
     rates: np.ndarray
     forces: np.ndarray
@@ -48,7 +48,7 @@ class Chain(eqx.Module):
     noise: jax.Array
 
     def interval(self, length):
-        """The exact motion of some time: Van Loan, IEEE Trans. Automatic Control 23 (1978) 395."""
+        """Return the exact motion over a time (Van Loan, IEEE Trans. Autom. Control 23 (1978))."""
         states = len(self.rates)
         spread = self.forces @ self.forces.T
         pair = np.block([[-self.rates, spread], [np.zeros_like(spread), self.rates.T]])
@@ -67,7 +67,7 @@ class Chain(eqx.Module):
 
 @functools.cache
 def chain_of(masses):
-    """It hangs on a wall; every third position is measured, and the last."""
+    """Return a chain on a wall; every third position and the last are measured."""
     springs = 30.0 * (2 * np.eye(masses) - np.eye(masses, k=1) - np.eye(masses, k=-1))
     springs[-1, -1] = 30.0
     nothing, one = np.zeros((masses, masses)), np.eye(masses)
@@ -80,7 +80,7 @@ def chain_of(masses):
 
 
 def start_of(chain, rng):
-    """An uncertain state whose parts depend on each other."""
+    """Return an uncertain state with correlated components."""
     states = len(chain.rates)
     root = np.tril(rng.normal(size=(states, states)), -1) * 0.2 / states + 0.2 * np.eye(states)
     return Gaussian(jnp.asarray(rng.normal(size=states)), jnp.asarray(root))
@@ -109,7 +109,7 @@ def run(chain, start, intervals, values, gate=np.inf, estimated=None):
 
 
 def simulated(chain, start, intervals, rng, runs=1):
-    """True last states (run, state) and measurements (run, event, channel), by the model."""
+    """Simulate the true last states (run, state) and measurements (run, event, channel)."""
     shows, noise = np.asarray(chain.shows), np.asarray(chain.noise)
     states = len(chain.rates)
     state = np.asarray(start.mean) + rng.normal(size=(runs, states)) @ np.asarray(start.root).T
@@ -121,7 +121,7 @@ def simulated(chain, start, intervals, rng, runs=1):
 
 
 def reference(chain, start, intervals, values):
-    """Means and covariances by filterpy, after each interval and its measurements."""
+    """Return means and covariances by filterpy, after each interval and its measurements."""
     shows, noise = np.asarray(chain.shows), np.asarray(chain.noise)
     kalman = KalmanFilter(len(chain.rates), len(noise))
     kalman.x = np.asarray(start.mean)
@@ -138,7 +138,7 @@ def reference(chain, start, intervals, values):
 
 
 def far_off(states, means, covariances):
-    """Largest difference of means and covariances, in standard deviations."""
+    """Return the largest difference of means and covariances, in standard deviations."""
     deviations = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
     roots = np.asarray(states.root)
     off = (roots @ np.swapaxes(roots, -1, -2) - covariances) / deviations[..., None, :]
@@ -157,7 +157,7 @@ class Recorded(NamedTuple):
 
 @functools.cache
 def recorded(masses):
-    """Forty jittered intervals, single values missing, and nothing at all for five of them."""
+    """Simulate forty jittered intervals with missing values, five of them without any values."""
     rng = np.random.default_rng(masses)
     chain = chain_of(masses)
     start = start_of(chain, rng)
@@ -179,14 +179,14 @@ def test_filter_smoother_and_prediction_are_those_of_filterpy(masses):
     transitions, added = zip(*((each.transition, each.added) for each in intervals), strict=True)
     kalman = KalmanFilter(2 * masses, len(chain.noise))
     smooth, spread, *_ = kalman.rts_smoother(means, covariances, transitions, added)
-    # What follows the last state is not there.
+    # No state follows the last one.
     there, later = jnp.arange(40) < 39, jnp.roll(jnp.arange(40), -1)
     last = jax.tree.map(lambda leaf: leaf[-1], found.state)
     motions = jax.tree.map(lambda leaf: leaf[later], found.motion)
     states = smoothed_states(last, found.state, motions, there)
     assert far_off(states, smooth, spread) < 1e-8
 
-    # From each of two states on, over other intervals.
+    # Predict from each of two states, over other intervals.
     some = jax.tree.map(lambda leaf: leaf[jnp.array([3, 17])], found.state)
     held = jax.tree.map(
         lambda *rows: np.stack(rows), stacked(intervals[:6]), stacked(intervals[6:12])
@@ -204,7 +204,7 @@ def test_log_likelihood_is_that_of_all_measurements_together():
     chain, start, intervals, values = recorded(3)
     intervals, values = intervals[:8], values[:8]
     found = run(chain, start, intervals, values)
-    # Every measurement is linear in the first state, the forces and its own noise.
+    # Every measurement is linear in the initial state, the forces and its own noise.
     shows, noise = np.asarray(chain.shows), np.asarray(chain.noise)
     mean, root, means, roots = np.asarray(start.mean), np.asarray(start.root), [], []
     for interval in intervals:
@@ -229,7 +229,7 @@ def test_late_measurements_count_as_if_they_had_come_in_time():
     times = np.cumsum(rng.uniform(0.02, 0.25, 25))
     intervals = [chain.interval(length) for length in np.diff(times, prepend=0.0)]
     values = simulated(chain, start, intervals, rng)[1][0]
-    # The first sensor comes half a second late, now and then more, the other at once.
+    # The first sensor is half a second late, sometimes more; the other has no delay.
     delays = np.stack([0.5 + 0.3 * (rng.random(25) < 0.3), np.zeros(25)], axis=1)
     sent = [
         (time + delays[event, channel], event, channel)
@@ -281,7 +281,7 @@ def test_what_is_older_than_the_history_is_lost():
 
 @eqx.filter_jit
 def last_states(chain, start, events, measured):
-    """After all events, of each run."""
+    """Return the states of each run after all events."""
 
     def one(values):
         every = jnp.ones(len(start.mean), bool)
@@ -307,7 +307,7 @@ def test_errors_of_a_hundred_runs_are_as_large_as_their_covariances_say(masses, 
         off = np.linalg.solve(np.asarray(states.root), (truth - states.mean)[..., None])
         return np.mean(off**2)
 
-    # 95 % of what chi-square of 100 times as many degrees of freedom as states gives.
+    # 95 % interval of chi-square with 100 times as many degrees of freedom as states.
     assert low < normalised_error(chain.noise) < high
     assert normalised_error(chain.noise / 2) > high
     assert normalised_error(chain.noise * 2) < low
@@ -315,7 +315,7 @@ def test_errors_of_a_hundred_runs_are_as_large_as_their_covariances_say(masses, 
 
 def test_considered_states_are_those_of_schmidt():
     plain = chain_of(3)
-    # Each channel has a bias that nothing changes and nothing estimates.
+    # Each channel has a constant bias that is considered but not estimated.
     rates, forces = (
         block_diag(plain.rates, np.zeros((2, 2))),
         np.vstack([plain.forces, np.zeros((2, 3))]),
@@ -398,7 +398,7 @@ def test_root_of_a_sum_is_triangular_also_of_few_columns():
 
 
 class Cart(eqx.Module):
-    """It moves by an unknown gain times what is known of each interval, and two clocks see it."""
+    """A cart that moves by an unknown gain times the known input; two clocks measure it."""
 
     noise: jax.Array
 
@@ -412,7 +412,7 @@ class Cart(eqx.Module):
 
 
 def driven(begin, end):
-    """The integral of a sine, of which a period takes 5 s."""
+    """Return the integral of a sine with a period of 5 s."""
     pace = 2 * np.pi / 5
     return jnp.asarray(4 * (np.cos(pace * begin) - np.cos(pace * end)))
 
@@ -435,19 +435,19 @@ def test_a_small_change_is_found_at_a_hundred_rows_a_second_by_two_clocks():
     place, gain, last = 0.0, 1.0, 0.0
     late = None
     for step in range(1, 801):
-        # The clocks are 1 ms apart, and show one time now and then.
+        # The clocks differ by 1 ms, but sometimes show the same time.
         for channel, time in enumerate((0.02 * step, 0.02 * step + 0.001 * (step % 5 > 0))):
             gain = 1.0 if time <= 8.0 else 0.89
             place += gain * float(driven(last, time))
             last = time
             row = np.full(2, np.nan)
             row[channel] = place + rng.normal()
-            if step == 375 and channel == 0:  # comes later
+            if step == 375 and channel == 0:  # this row arrives late
                 late = (time, row)
                 continue
             follower.measure(time, row)
     ((begun, seen, found),) = follower.changes
-    # A watch that looks back over 4 s only would not find it.
+    # A detector with a window of only 4 s would not find the change.
     assert begun == pytest.approx(8.0, abs=3.0)
     assert seen - begun > 4.0
     assert float(found.size) == pytest.approx(-0.11, abs=4 * float(found.deviation))
@@ -456,8 +456,8 @@ def test_a_small_change_is_found_at_a_hundred_rows_a_second_by_two_clocks():
     assert float(before.mean[1]) == pytest.approx(0.89, abs=4 * spread)
     assert spread < 0.05
 
-    # A row of the time before the change neither brings back what was watched before, nor is the
-    # gain allowed to change twice.
+    # A late row from before the change neither restores the former value, nor is a second change of
+    # the gain detected.
     assert begun - 2.5 < late[0] < begun + 2.5
     assert follower.measure(*late)
     for time in (16.1, 16.2):
@@ -475,8 +475,8 @@ def test_what_rests_teaches_nothing_and_an_outlier_is_no_motion():
         follower.measure(0.1 * step, [outlier + rng.normal(), np.nan])
     assert float(follower.state.deviations[1]) == pytest.approx(0.2, rel=1e-9)
 
-    # Each measurement that comes late is judged by the time at which it was taken, between two
-    # motions of a quarter of a period.
+    # Each late measurement is judged at the time at which it was taken, between two motions of a
+    # quarter of a period.
     def twice(begin, end):
         return sum(
             3 * driven(np.clip(begin, at, at + 1.25) - at, np.clip(end, at, at + 1.25) - at)
@@ -496,7 +496,7 @@ def test_what_rests_teaches_nothing_and_an_outlier_is_no_motion():
 
 
 class Spring(Cart):
-    """It comes to rest at an unknown gain times what is known, and is pushed at random."""
+    """A spring that comes to rest at an unknown gain times the known input, with random forces."""
 
     def moved(self, vector, held):
         slope = jnp.array([[0.8, 0.2 * held], [0.0, 1.0]])
@@ -504,7 +504,7 @@ class Spring(Cart):
 
 
 def test_what_rests_bent_is_not_said_to_change():
-    """Innovations are then off by the parameter's error, all alike."""
+    """The innovations then have a constant offset, which is due to the error of the parameter."""
     rng = np.random.default_rng(10)
     follower = DelayedFilter(
         Spring(jnp.array([0.3, 0.3])),
@@ -521,7 +521,7 @@ def test_what_rests_bent_is_not_said_to_change():
 
 
 def test_a_command_that_is_held_jumps_within_an_interval():
-    """Intervals end where what is known bends, as of a camera whose delay is half a row."""
+    """Intervals end at the corners of a command, for example with a camera delay of half a row."""
     seen = []
 
     def interval(begin, end):

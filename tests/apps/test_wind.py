@@ -1,4 +1,4 @@
-"""The wind of a resting arm: its response, its likelihood, and known winds found again."""
+"""The wind of a resting arm: its response, its likelihood, and estimates of known winds."""
 
 import functools
 import json
@@ -37,15 +37,15 @@ SPEED = float(np.linalg.norm(MEAN))
 TIMES = np.arange(0.0, 420.01, 0.2)
 NAMES = ("link02_y", "link02_z", "joint01_angle")
 STILL = {"free_motion": True}
-# A minute of this arm in gusts about this mean, as an earlier version simulated it.
+# One minute of this arm in gusts about this mean, simulated by an earlier version.
 RESTING = Path(__file__).parents[1] / "earlier" / "written" / "wind" / "run.csv"
-# Slow, and near the resonance of the first joint.
+# Frequencies: a low one, and one near the resonance of the first joint.
 WAVES = np.array([0.1, 0.7])
 
 
 @functools.cache
 def moved(kind, seed=0):
-    """Angles of the joints in gusts, or in small waves along the mean wind."""
+    """Return the joint angles in gusts, or in small waves along the mean wind."""
     places = np.asarray(giajax.mechanics.arm.link_centres(MODEL.arm, jnp.zeros(2)))
     if kind == "wave":
         wave = 0.005 * SPEED * np.sin(2 * np.pi * WAVES[:, None] * TIMES).sum(axis=0)
@@ -86,7 +86,7 @@ def recording(seed, noise=2e-4):
 
 @pytest.fixture(scope="module")
 def found():
-    """Winds found from recordings of two seeds, begun elsewhere."""
+    """Fit the winds of recordings with two seeds, from other initial guesses."""
     return [
         fit_wind(
             MODEL,
@@ -103,7 +103,7 @@ def found():
 
 @pytest.mark.long
 def test_known_winds_are_found_again(found):
-    """Simulated with all of the drag, which is quadratic; pulls are of logarithms."""
+    """The simulation includes the quadratic drag; pulls are those of logarithms."""
     truth = {"speed": SPEED, "deviation": 0.15 * SPEED, "length_scale": 2.0}
     assert all(one.converged and not one.left_out for one in found)
     pulls = np.array(
@@ -119,7 +119,7 @@ def test_known_winds_are_found_again(found):
     )
     assert np.max(np.abs(pulls)) < 3
     assert 0.1 < np.sqrt(np.mean(pulls**2)) < 2
-    # The errors say something, too.
+    # The standard errors must be small enough to be useful.
     errors = [one.numbers["deviation"].standard_error / (0.15 * SPEED) for one in found]
     assert max(errors) < 0.2
     assert all(abs(one.misfit[0] - 1) < 0.2 for one in found)
@@ -130,17 +130,17 @@ def test_the_response_is_that_of_the_simulation_to_a_small_wave():
     record = resting(MODEL, recording(0), skip=20.0)
     here, _, _ = WindModel(MODEL, record, use_mean=False).about(first_guess(MEAN, 1e-5, 2.0, 12.0))
     kept = TIMES >= 20.0 - 1e-9
-    kept[-1] = False  # forty periods
+    kept[-1] = False  # exactly forty periods
     angles = moved("wave")[0][kept]
     np.testing.assert_allclose(angles.mean(axis=0), _rest(here), rtol=1e-3)
     turned = np.exp(-2j * np.pi * WAVES[:, None] * TIMES[kept])
-    # Straight lines between the rows take some of a wave.
+    # Linear interpolation between the rows reduces the amplitude of a wave.
     taken = np.sinc(WAVES[:, None] * 0.2) ** 2
     seen = 2j / 0.005 * (turned @ angles) / len(angles) / taken
     expected = joint_responses(here, WAVES).sum(axis=2) @ MEAN
     assert np.min(np.abs(expected)) > 1e-4
     np.testing.assert_allclose(seen[0], expected[0], rtol=0.01)
-    # The stiff joint follows the corners at the rows, which is where it is sampled.
+    # The stiff joint follows the corners of the wind at the rows, where it is sampled.
     np.testing.assert_allclose(seen[1, 0], expected[1, 0], rtol=0.01)
 
 
@@ -161,7 +161,7 @@ def test_a_clock_that_is_late_is_a_phase_of_the_spectra_alone():
 
 
 def _rest(here):
-    """Angles of the rest, from the places of the links: the first pitches, the second yaws."""
+    """Return the angles at rest from the positions of the links: first pitch, then yaw."""
     pitch = np.arctan2(here.places[0, 2], here.places[0, 0])
     along = np.array([np.cos(pitch), 0.0, np.sin(pitch)])
     half = here.places[1] - 2 * here.places[0]
@@ -169,10 +169,10 @@ def _rest(here):
 
 
 def test_the_likelihood_is_nearly_that_of_a_normal_vector():
-    """Bands leave out one bin in six, and what is nearest to zero."""
+    """The bands omit one bin in six, and the lowest frequencies."""
     samples, interval, noise = 256, 0.25, 0.02
     where = bands(samples, interval, 1 / (2 * interval))
-    # No spectrum beyond what the samples resolve, so that nothing is folded back.
+    # The spectrum ends at the Nyquist frequency, so there is no aliasing.
     fine = np.linspace(0.0, 1 / (2 * interval), 8001)
 
     def spectrum(at, frequencies):
@@ -204,7 +204,7 @@ def test_the_likelihood_is_nearly_that_of_a_normal_vector():
     ours = np.array(ours)
     assert np.corrcoef(ours, normal)[0, 1] > 0.8
     assert 0.6 < ours.mean() / normal.mean() < 1.05
-    # And so is what it promises.
+    # The information matrix agrees, too.
     _, information = gradient_and_information(whittle(truth), slopes(whittle, truth), record)
     by = [(exact(truth + d) - exact(truth - d)) / 2e-3 for d in 1e-3 * np.eye(2)]
     parts = [np.linalg.solve(both[0], one) for one in by]
@@ -298,10 +298,10 @@ def test_the_command_writes_what_it_found_and_not_over_it(tmp_path, capsys):
 
 @pytest.mark.quick
 def test_a_beginning_that_is_unlike_the_rest_is_found():
-    """Of records without one at most a few lose anything."""
+    """Of records without a transient, at most a few are shortened."""
     times = np.arange(0.0, 600.0, 0.2)
     random = np.random.default_rng(0)
-    # Gusts of some seconds, one after the other.
+    # Gusts with a duration of several seconds.
     kernel = np.exp(-np.arange(0, 40, 0.2) / 5.0)
 
     def begun(amplitude, lasts, command=0.0):
@@ -318,7 +318,7 @@ def test_a_beginning_that_is_unlike_the_rest_is_found():
     late = begun(0.0, 1.0, command=0.3)
     assert late.settled == pytest.approx(40.0)
     assert np.ptp(late.command) == 0
-    # Records that are as long as a few gusts, which are longer than their blocks.
+    # Short records: a few gusts long, and the gusts are longer than the blocks.
     short = 0
     for seed in range(200):
         walk = np.random.default_rng(seed).normal(size=(2 * len(times), 2))
@@ -331,7 +331,7 @@ def test_a_beginning_that_is_unlike_the_rest_is_found():
 
 def test_an_arm_that_still_came_to_rest_and_the_channels_that_are_asked_for(tmp_path, capsys):
     run = read_run(RESTING)
-    # To and fro: a minute is too short to tell what is unlike it.
+    # Repeat the record to and fro, because one minute is too short to detect a transient.
     there = np.arange(len(run.times))
     to_and_fro = np.concatenate([there, there[-2::-1], there[1:], there[-2::-1]])
     values = {name: column[to_and_fro] for name, column in run.values.items()}

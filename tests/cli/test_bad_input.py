@@ -30,9 +30,9 @@ CASES = {
                           ["line 1 comes before the numbers", ": remove the '#'\n"]),
     "header behind the last #": ("# a\n# b\n# " + GOOD, None,
                                  ["line 3 comes before", "the '#' and everything above that line"]),
-    "units above": ("s,deg,m\n" + GOOD, None, ["line 2", "first line: remove the line above it"]),
+    "units above": ("s,deg,m\n" + GOOD, None, ["line 2", "remove the line above the names"]),
     "title and units above": ("Run 7\n[s],[deg],[m]\n" + GOOD, None,
-                              ["line 3", "remove the 2 lines above it"]),
+                              ["line 3", "remove the 2 lines above the names"]),
     "units above foreign names": ("[s],[m]\nt,z\n0,1\n", None, ["holds units", "link06_z_m"]),
     "units below": (GOOD.replace("0,0,0.1\n", "s,deg,m\n0,0,0.1\n"), None,
                     ["'time_s' has 's' in row 2"]),
@@ -101,7 +101,7 @@ CASES = {
 }  # fmt: skip
 
 
-# A command writes what the reader says, in one line: five of them are enough to see it.
+# A command prints the message of the reader in one line; five cases suffice to check this.
 BY_COMMAND = {"missing file", "semicolons", "text in a number", "sidecar with a wrong value",
               "model unclear"}  # fmt: skip
 
@@ -126,7 +126,7 @@ def test_bad_recordings(tmp_path, capsys, case):
     assert "run." in line
     for part in parts:
         assert part in line
-    # Long enough to say what, what it must be and what to do; short enough to be read.
+    # Long enough to name the cause and the remedy, short enough to read.
     assert len(line.replace(str(tmp_path), "")) < 420
     assert {item.name: item.read_bytes() for item in tmp_path.iterdir()} == before
 

@@ -1,4 +1,4 @@
-"""`giajax cache`: what is kept, and its end."""
+"""`giajax cache`: the contents of the cache, and its removal."""
 
 import os
 import subprocess
@@ -49,7 +49,7 @@ def test_there_may_be_none(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert main(["cache"]) == 0
-    assert "no programs are kept" in capsys.readouterr().out
+    assert "compiled programs are not kept" in capsys.readouterr().out
 
 
 CONFIGURE = (
@@ -60,7 +60,7 @@ CONFIGURE = (
 
 
 def configured(**variables):
-    """What a process of the command line says of its cache, and its complaints."""
+    """Return the cache settings of a process of the command line, and its messages."""
     environment = {**os.environ, **{name: str(value) for name, value in variables.items()}}
     if "XDG_CACHE_HOME" in variables:
         environment.pop("JAX_COMPILATION_CACHE_DIR", None)
@@ -79,7 +79,7 @@ def test_a_folder_of_programs_is_this_accounts_own(tmp_path, variable):
     assert configured(**{variable: home}) == ([str(folder), "True"], "")
     assert folder.stat().st_mode & 0o777 == 0o700
     assert process.is_private(folder)
-    folder.chmod(0o755)  # as an earlier version made it
+    folder.chmod(0o755)  # permissions of an earlier version
     assert process.is_private(folder)
     wrong = folder
     if variable == "XDG_CACHE_HOME":
@@ -96,9 +96,9 @@ def test_a_folder_of_programs_is_this_accounts_own(tmp_path, variable):
 
 @pytest.mark.skipif(os.name != "posix", reason="of POSIX permissions")
 def test_a_folder_that_nobody_may_look_at_is_not_used(tmp_path):
-    assert process.is_private(tmp_path / "none")  # it is made
+    assert process.is_private(tmp_path / "none")  # the folder is created
     (tmp_path / "file").write_text("")
-    closed = tmp_path / "file" / "cache"  # as where the parent may not be entered
+    closed = tmp_path / "file" / "cache"  # like a parent that cannot be entered
     assert not process.is_private(closed)
     found, said = configured(JAX_COMPILATION_CACHE_DIR=closed)
     assert found == ["None", "False"]

@@ -31,7 +31,7 @@ def test_check_says_what_a_file_holds(run, capsys):
     assert lines == [line.rstrip() for line in lines]
     assert "link06_z         measured  m          2       33.3  -0.3  0.1      -" in lines
     for part in [str(run), "arm", "0 to 0.2 s, every 0.1 s", "joint01_command; linear", "none",
-                 "note: noise not stated"]:  # fmt: skip
+                 "note: the noise is not specified"]:  # fmt: skip
         assert part in out
 
 
@@ -111,7 +111,7 @@ def test_an_interruption_has_its_own_status(run, capsys, monkeypatch):
 
 
 def test_a_file_that_the_system_refuses_is_one_sentence(run, capsys, monkeypatch):
-    """Wherever it is read: here a name of a plan that no file can have."""
+    """This holds wherever the name is read; here a plan has a name that no file can have."""
     (run.parent / "fit.toml").write_text(f'[fit]\ndata = ["{"q" * 300}.csv"]\n')
     plan = run.parent / "plan.toml"
     plan.write_text('fit = "fit.toml"\n[grid]\nloss = ["linear", "huber"]\n')
@@ -139,7 +139,7 @@ for arguments in commands:
         sys.exit(f"{arguments} imported {loaded}" if loaded else status)
 """
 JAX = "jax equinox diffrax matplotlib"
-# The help reads no run and prints no table. What it takes is measured by benchmarks.startup.
+# The help reads no run and prints no table. benchmarks.startup measures its time.
 SLOW_TO_IMPORT = f"{JAX} numpy pydantic polars rich.console rich.table"
 
 
@@ -186,14 +186,14 @@ def test_what_nobody_expects_is_a_sentence_and_a_file(run, tmp_path, capsys, mon
     err = capsys.readouterr().err
     assert err.startswith("Traceback (most recent call last):\n")
     assert "which cannot be written to a file (No such file or directory)" in err
-    # What a signal raised, as a foreign library passes it on.
+    # An interruption that a foreign library converts to another exception.
     monkeypatch.setattr("giajax.cli._commands.is_stopped", lambda: True)
     assert main(["check", "--data", str(run)]) == 130
     assert capsys.readouterr().err == "giajax: interrupted\n"
 
 
 def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
-    """Polars raises it, and it is no `Exception`; in a task, it is the outcome of that."""
+    """Polars raises a panic, which is not an `Exception`; in a task, it becomes the outcome."""
 
     class PanicException(BaseException):
         pass
@@ -211,7 +211,7 @@ def test_a_panic_of_a_library_is_a_sentence(run, tmp_path, capsys, monkeypatch):
 
 
 def test_a_list_of_commands_and_each_of_their_helps_are_there(capsys):
-    """Commands that are not asked for are listed without their options; each has them itself."""
+    """The list shows the commands without their options; the help of each command shows them."""
     assert main(["--help"]) == 0
     listed = capsys.readouterr().out.split("First day:")[1].split("Examples:")[0]
     names = re.findall(r"^  (\w+)", listed, re.MULTILINE)

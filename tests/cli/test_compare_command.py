@@ -1,4 +1,4 @@
-"""`giajax compare`: the differences of two results, and when they cannot be compared."""
+"""`giajax compare`: the differences of two results, and results that cannot be compared."""
 
 import dataclasses
 import json
@@ -27,7 +27,7 @@ ASKED = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two fits of one muscle, and the first as if asked otherwise or of another recording."""
+    """Two fits of one muscle, and copies of the first with other settings or another recording."""
     folder = tmp_path_factory.mktemp("compare")
     for name, words in FITTED.items():
         quiet = ["--no-figures", "--quiet", "--no-suspects", "--out", str(folder / name)]
@@ -64,7 +64,7 @@ def test_differences_are_in_joint_standard_errors(folder, capsys):
     joint = math.hypot(one["standard_error"], other["standard_error"])
     assert rows[path]["differences"][1] == pytest.approx((other["value"] - one["value"]) / joint)
     assert rows[path]["differences"][0] is None
-    # What one of them held has no difference.
+    # A parameter that one of the fits held fixed has no difference.
     assert rows["muscle.end_correction"]["differences"] == [None, None]
     assert rows["muscle.end_correction"]["estimates"][1]["free"] is False
 
@@ -74,7 +74,7 @@ def test_bic_is_there_for_the_same_data_noise_and_loss(folder, capsys):
     better, worse = facts["results"]
     assert better["bic"] == 0
     costs = [stored(folder / name)["cost"] for name in ("free", "held")]
-    # The noise is stated: chi-square, and a parameter less.
+    # The noise is known, so the BIC uses chi-square, with one parameter less.
     assert worse["bic"] == pytest.approx(2 * (costs[1] - costs[0]) - math.log(285))
     assert (better["parameters"], worse["parameters"]) == (5, 4)
     assert "share its noise" in " ".join(facts["notes"])

@@ -1,4 +1,4 @@
-"""`giajax examples`: what ships, and a copy to start from."""
+"""`giajax examples`: the list of the examples, and a copy of them."""
 
 from pathlib import Path
 

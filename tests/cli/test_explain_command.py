@@ -1,4 +1,4 @@
-"""`giajax explain`: a run is explained, kept, and gone on with, by its files."""
+"""`giajax explain`: a run is explained, stored, and continued from its files."""
 
 import json
 import re
@@ -22,7 +22,7 @@ STEPS = ["-", "muscle.end_correction"]
 
 @pytest.fixture(scope="module")
 def explained(tmp_path_factory):
-    """The folder of an explanation of a muscle whose end correction, 1.7, is held at 1.5."""
+    """An explanation of a muscle whose end correction of 1.7 is held fixed at 1.5."""
     folder = tmp_path_factory.mktemp("explained")
     for name in ("muscle.csv", "muscle.toml"):
         shutil.copy(ROOT / "data" / "synthetic" / name, folder / name)
@@ -47,7 +47,7 @@ def test_steps_parameters_files_and_a_page(explained):
     page = (folder / "explain.html").read_text()
     assert "Model extensions supported by the data" in page
     assert "Content-Security-Policy" in page
-    # What is left of it is a result for all other commands.
+    # The final result can be used by all other commands.
     status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
     assert status == 0
     assert all(load_result(path) for path in (folder / "fits").glob("*.json"))
@@ -58,18 +58,18 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
     shutil.copytree(explained[0], folder)
     whole = (folder / "explain.json").read_bytes()
     lines = (folder / "explain.jsonl").read_text().splitlines()
-    # The first step is tried, and not taken yet.
+    # The journal ends while the first step is being tried.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     for name in ("explain.json", "explain.html", "result.json"):
         (folder / name).unlink()
     asked = ("explain", "--resume", folder, "--no-figures", "--no-report", "--quiet")
     assert giajax(*asked) == (0, "", "")
     assert (folder / "explain.json").read_bytes() == whole
-    # What the journal had is not fitted again: there is one fit more, the one that it had lost.
+    # Fits in the journal are not repeated; only the lost fit is added.
     before = len(list((explained[0] / "fits").iterdir()))
     assert len(list((folder / "fits").iterdir())) == before + 1
     assert not (folder / "explain.html").exists()
-    # A journal that says what none does is refused, and no file beyond the fits is read.
+    # A journal with an impossible entry is refused, and no file outside the fits is read.
     for line, why in (
         ("[" * 5_000, "nested more than"),
         ('{"name": "first"}', "it is not a valid line of this journal"),
@@ -85,21 +85,21 @@ def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):
         assert "explain.jsonl" in error
         assert why in error
     (folder / "explain.jsonl").write_text(lines[0].rstrip("}") + ', "tries": 0}')
-    assert "states fewer than 1 suspect to try" in giajax(*asked)[2]
-    # Of a budget that is over the steps are those so far, and what goes on says how.
+    assert "specifies fewer than 1 suspect to try" in giajax(*asked)[2]
+    # When the budget is used up, the steps so far are reported, with the command that continues.
     (folder / "explain.jsonl").write_text("\n".join(lines[:4]) + "\n")
     status, out, error = giajax(*asked[:-1], "--budget", "0.001s")
     assert (status, steps(folder)) == (0, STEPS[:1])
     assert "was exhausted" in out
     assert f"giajax explain --resume {folder}" in error
-    # What is there is not written over, nor mixed with other settings.
+    # Existing files are neither overwritten nor mixed with other settings.
     other = ("explain", "--data", folder.parent / "none.csv", "--out", folder)
     for options, sentence in (
         (("explain", "--resume", tmp_path), "contains no explanation to continue"),
         (("explain", "--resume", folder, "--loss", "huber"), "omit the other options"),
         (
             (*other[:2], explained[0].parent / "muscle.csv", *other[3:]),
-            "already has an explanation",
+            "already contains an explanation",
         ),
         (("explain",), "give at least one run"),
     ):
@@ -125,7 +125,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
         status, _, error = giajax(*asked[:5])
         assert status == 2
         assert re.search(r"pip install .*\[report\]'?, or omit the page with --no-report", error)
-    # The first fit is stopped, and there is nothing to go on with.
+    # The first fit is stopped, so nothing can be continued.
     status, _, error = giajax(*asked, "--force", "--budget", "0.001s")
     assert status == 1
     assert error == "giajax: the time budget was exhausted: this is the result so far\n"
@@ -146,7 +146,7 @@ def test_it_goes_on_elsewhere_begins_anew_and_leaves_what_is_not_its_own(tmp_pat
 
 @pytest.mark.long
 def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tmp_path):
-    """Where the truth is known: camera free, and both omissions at once."""
+    """The truth is known: the camera is free, and both effects are omitted at once."""
     times = np.linspace(0.0, 6.0, 61)
     stated = ArmModel(takeichi_20m(LINKS))
     missing = {"camera.rotation": [0.0, 0.0, 0.05], "air.wind": [0.0, 0.1, 0.05]}
@@ -170,7 +170,7 @@ def test_a_turned_camera_and_a_wind_are_found_beside_what_is_always_uncertain(tm
     assert (status, error) == (0, "")
     record = json.loads((tmp_path / "why" / "explain.json").read_text())
     found = {step["change"].partition("[")[0] for step in record["steps"][1:]}
-    # To the first order a base that is turned is a camera that is turned.
+    # To first order, a rotation of the base is equivalent to a rotation of the camera.
     assert "air.wind" in found
     assert found & {"camera.rotation", "base_rotation"}
     assert record["verdict"] == "adequate"

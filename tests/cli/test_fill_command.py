@@ -1,4 +1,4 @@
-"""`giajax fill`: tables, files and pictures of a filling."""
+"""`giajax fill`: tables, files and figures of a filling."""
 
 import csv
 import json
@@ -62,7 +62,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
         curve = list(csv.DictReader(file))
     flows = [float(row["supply_flow_l_per_min"]) for row in curve]
     diameters = [float(row["port_diameter_mm"]) for row in curve]
-    # Three links of 70 l in four minutes; a narrower port needs more.
+    # Three links of 70 l in four minutes. A narrower port needs a larger supply.
     assert flows[-1] == pytest.approx(3 * np.pi * 0.15**2 * 0.99 / 4 * 1e3, rel=0.01)
     assert np.all(np.diff(flows) < 0)
     assert np.all(np.diff(diameters) > 0)
@@ -80,7 +80,7 @@ def test_options_change_what_is_printed(tmp_path, capsys):
     quicker = json.loads(capsys.readouterr().out)
     assert quicker["duration_s"] < 0.6 * usual["duration_s"]
     assert main([*command, "--set", "links.mass=1"]) == 0
-    assert "the lift does not carry the arm" in capsys.readouterr().out
+    assert "the lift is too small to carry the arm" in capsys.readouterr().out
 
 
 def test_a_supply_that_is_too_weak_is_said(tmp_path, capsys):

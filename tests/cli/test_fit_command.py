@@ -1,4 +1,4 @@
-"""`giajax fit`, on a short arm: what it writes, what it prints, and how it ends."""
+"""`giajax fit` on a short arm: its files, its output, and the ways in which it ends."""
 
 import contextlib
 import io
@@ -26,9 +26,9 @@ FILES = {
 
 
 def giajax(*arguments):
-    """Exit status, standard output, standard error; of a fit, what it held is not tested."""
+    """Return exit status, standard output and error; fits do not test omitted effects."""
     if arguments[0] == "fit":
-        # A program of its own, which the fit of `arm_fit` has.
+        # The test would compile another program. The fit of `arm_fit` includes it.
         arguments = (*arguments, "--no-suspects")
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -72,7 +72,7 @@ def test_numbers_without_figures(data):
         *(name for name in FILES if not name.endswith(".png")),
     }
     assert "wrote out: result.json, prediction.csv, prediction.toml\n" in out
-    # It ended early, and can go on.
+    # The fit ended early, and can be continued.
     assert out.endswith("to continue the fit: giajax fit --resume out --max-iterations 2\n")
 
 
@@ -163,7 +163,7 @@ def test_what_it_prints(fitted):
     assert [int(line[0]) for line in numbered] == list(range(iterations + 1))
     assert numbered[-1][3] in ("yes", "no")
     assert len(numbered[-1]) == 4 + len(TRUTH)
-    # Without a terminal no name is broken.
+    # Without a terminal, no name is wrapped.
     assert all(path in lines[1] for path in TRUTH)
 
     assert "compiling" not in out
@@ -203,7 +203,7 @@ def test_the_same_fit_again_writes_over_and_another_does_not(fitted, tmp_path, m
         np.genfromtxt(io.BytesIO(files[prediction]), delimiter=",", skip_header=1)
         for files in (contents(folder), before)
     )
-    # The compiler's threads may add in another order.
+    # The compiler's threads may sum in another order.
     np.testing.assert_allclose(again, first, rtol=0, atol=1e-5)
 
 
@@ -215,7 +215,7 @@ def test_force_writes_over(data, tmp_path):
     base += ["--max-iterations", "1"]
     status, _, err = giajax(*base)
     assert status == 2
-    assert "not a result of giajax" in err
+    assert "not a giajax result" in err
     assert contents(out) == {str(out / "result.json"): b"{}"}
     assert giajax(*base, "--force")[0] == 1
     assert load_result(out).status == "not_converged"
@@ -263,7 +263,7 @@ relative_error = 1e-9
 
 @pytest.mark.slow
 def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
-    # The data are named relative to the definition, the folder relative to where one is.
+    # Data files are relative to the definition, the output folder to the current directory.
     there, here = tmp_path / "there", tmp_path / "here"
     there.mkdir()
     here.mkdir()
@@ -280,7 +280,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
     ]  # fmt: skip
     assert config["start"] == {"air.drag_coefficient": 0.8, "joints.damping": 0.07}
     assert config["fix"] == {"joints.yaw_stiffness": 4.0}
-    # The definition's noise goes before the sidecar's, whose arm stays.
+    # The noise in the definition takes precedence over the sidecar, which still gives the arm.
     assert record["runs"][0]["channels"]["link04_z"]["noise"] == pytest.approx(0.02)
     assert config["definition"]["arm"]["links"] == 4
     verdicts = {line.split()[1]: line.split()[0] for line in out.splitlines()
@@ -291,7 +291,7 @@ def test_a_definition_and_what_goes_before_it(tmp_path, monkeypatch):
         "joints.damping": "MISSED",
     }
 
-    # The command line goes before both, path by path.
+    # The command line takes precedence over both, path by path.
     status, out, _ = giajax(
         "fit", "--config", there / "drag.toml", "--start", "joints.damping=0.08", "--fix",
         "air.drag_coefficient=1.0", "--loss", "linear", "--max-iterations", "1", "--tolerance",
@@ -318,7 +318,7 @@ def test_a_channel_is_renamed_on_the_way(data):
     channels = load_result(data.parent / "out").runs[0].channels
     assert list(channels) == ["link02_y", "link04_y", "link04_z"]
     assert channels["link04_z"].n == 36
-    # The sidecar no longer says what the noise is.
+    # The sidecar no longer gives the noise.
     assert channels["link04_z"].noise == pytest.approx(NOISE, rel=0.5)
     assert "noise that was not stated is estimated" in out
 
@@ -356,7 +356,7 @@ def test_ctrl_c_of_the_process(data, tmp_path, moment):
         cwd=tmp_path,
         env=environment,
     )
-    # Read while it runs: the lines must come when they happen, also into a pipe.
+    # The lines are read while the fit runs. They must arrive immediately, also in a pipe.
     for line in process.stderr:
         if line.split()[0] == moment:
             process.send_signal(signal.SIGINT)
@@ -370,7 +370,7 @@ def test_ctrl_c_of_the_process(data, tmp_path, moment):
     else:
         assert "interrupted after" in out
         assert load_result(tmp_path / "out").status == "interrupted"
-        # What took so long to compile is there for the next process.
+        # The compiled step is kept for the next process.
         assert any("step" in path.name for path in (tmp_path / "cache" / "giajax").rglob("*"))
 
 
@@ -379,8 +379,8 @@ CSV += "0.3,30,0.4\n0.4,30,0.5\n0.5,30,0.6\n"  # more values than there are para
 
 LOOP = "input,output\n0,0\n1,1\n0,0.2\n1,1\n0,0.2\n1,1\n"
 
-# What only a fit finds out; what is wrong with a file, the tests of its reader say.
-# run.csv (None: no file), run.toml, further arguments, and what the sentence must say
+# Errors that only a fit detects; errors in files are tested with their reader.
+# run.csv (None: no file), run.toml, further arguments, and a required part of the message
 BAD = {
     "missing file": (None, "", [], ["does not exist"]),
     "nothing measured": ("time_s,joint01_command_deg\n0,0\n1,1\n", "", [], ["no measured"]),

@@ -1,4 +1,4 @@
-"""What `giajax fit` is told of parameters: its grammar, and one sentence for what is wrong."""
+"""Parameter options of `giajax fit`: their grammar, and one sentence for each error."""
 
 import pytest
 

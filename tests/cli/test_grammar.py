@@ -1,4 +1,4 @@
-"""The grammar of the command line: names of options, their old forms, and what each help shows."""
+"""The grammar of the command line: option names, their old forms, and the help texts."""
 
 import itertools
 import re
@@ -21,7 +21,7 @@ WIDTH = 80
 
 
 def help_of(words, capsys, monkeypatch):
-    """What a terminal of 80 columns shows."""
+    """Return the help as a terminal of 80 columns shows it."""
     monkeypatch.setenv("COLUMNS", str(WIDTH))
     assert main([*words, "--help"]) == 0
     return capsys.readouterr().out
@@ -32,7 +32,7 @@ def options_of(name):
 
 
 def meanings_of(name):
-    """Options of a command by name: metavar, type, and whether it may be repeated."""
+    """Return the options of a command by name: metavar, type, and whether they may be repeated."""
     each = COMMANDS[name]
     kinds = get_type_hints(with_options(each))
     for parameter in GROUP.commands[name].params:
@@ -46,7 +46,7 @@ def meanings_of(name):
                 yield option, (parameter.metavar, kind, several)
 
 
-# One name, one meaning.
+# One name has one meaning.
 
 EXCEPTIONS = {
     "--data": "a fit is of several runs, and what is looked at or made again is one",
@@ -78,7 +78,7 @@ def test_a_command_that_draws_has_formats_and_a_resolution(name):
 
 
 WRITTEN = ("--out", "--to", "--page", "--copy")
-BESIDE = ("init", "profile")  # beside what they are given
+BESIDE = ("init", "profile")  # commands that write next to their input
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -89,14 +89,14 @@ def test_what_writes_has_force_and_quiet_and_what_prints_has_neither(name):
         ("--force", "Overwrite existing files."),
         ("--quiet", "Print errors only."),
     ):
-        if (name, option) == ("choose", "--quiet"):  # of its progress: it writes nothing
+        if (name, option) == ("choose", "--quiet"):  # about its progress: it writes nothing
             assert known[option].help == "Do not print the progress."
             continue
         assert (option in known) == writes
         assert not writes or known[option].help == text
 
 
-# Old forms.
+# Former forms.
 
 OLD = [
     (name, form, *pair)
@@ -107,19 +107,19 @@ VALUE = "7"
 
 
 def typed(line):
-    """The words of an old form or a new one behind the command, with a value for each metavar."""
+    """Return the words of a form after the command, with a value for each metavar."""
     words = line.split()[2:]
     return [word if word.startswith("--") else VALUE + Path(word).suffix for word in words]
 
 
 def arguments(line):
-    """The words of a line that are not behind an option."""
+    """Return the words of a line that are not values of options."""
     words = line.split()
     return [word for before, word in itertools.pairwise(words) if not before.startswith("--")]
 
 
 def required(name, *lines):
-    """Words for what a command must be given, but for what is in one of these lines."""
+    """Return words for the required parameters of a command that none of these lines gives."""
     words = []
     for each in GROUP.commands[name].params:
         if each.required and not any(each.opts[0] in line.split() for line in lines):
@@ -142,7 +142,7 @@ WITH_VALUE = [
     (name, old, new) for name, form, old, new in OLD if form[:2] == "--" and len(typed(old)) == 2
 ]
 QUIET = [(name, old, new) for name, _, old, new in OLD if "--quiet" in options_of(name)]
-# Not those whose value alone is old, or of which nothing is left.
+# Without forms of which only the value is old, or which have no replacement.
 APART = [(name, old, new) for name, form, old, new in OLD if " " not in form and typed(new)]
 
 
@@ -182,7 +182,7 @@ def test_an_old_form_beside_the_new_one_is_refused(name, old, new, capsys):
     before, after = typed(old), typed(new)
     assert main([name, *before, *after, *required(name, old, new)]) == 2
     said = capsys.readouterr().err.splitlines()[-1]
-    # An option that is an argument now is one word too many.
+    # If the option is now an argument, a word is left over.
     expected = "is also given: omit one of them" if "--" in new else "unexpected extra argument"
     assert expected in said
 
@@ -213,7 +213,7 @@ def test_a_note_is_of_words_that_are_understood(capsys):
     assert "note" not in capsys.readouterr().err
 
 
-# Help.
+# Help texts.
 
 
 def test_every_command_has_a_group_of_the_help(capsys, monkeypatch):
@@ -235,7 +235,7 @@ def test_help_is_whole_in_80_columns(name, capsys, monkeypatch):
     text = help_of([name] if name else [], capsys, monkeypatch)
     assert [line for line in text.splitlines() if len(line) > WIDTH] == []
     cut = [line for line in text.splitlines() if "…" in line or "..." in line]
-    # As many words as one likes are shown by three dots.
+    # Three dots mark an argument that may be repeated.
     assert [line for line in cut if not re.search(r"(ARGS\]|RESULT\}?|WHAT\}?)\.\.\.", line)] == []
 
 

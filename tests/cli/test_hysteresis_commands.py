@@ -50,7 +50,7 @@ def test_commands_take_the_fitted_joint_to_its_target(fitted, tmp_path, capsys):
 
     again = predict(load_result(fitted).model, run)["angle"]
     np.testing.assert_allclose(np.rad2deg(again), ANGLES, atol=1e-5)
-    # Nothing is written over.
+    # No file is overwritten.
     assert main(arguments) == 2
     assert main([*arguments, "--force"]) == 0
 
@@ -72,7 +72,7 @@ def test_a_prediction_is_a_run_of_the_same_operator(loops, tmp_path):
     stated = run.definition.hysteresis
     assert stated.operator == "prandtl_ishlinskii"
     assert stated.thresholds == read_run(loops).definition.hysteresis.thresholds
-    # What it predicted is found again, without noise.
+    # A fit of the prediction, which has no noise, reproduces it.
     again = fit(model_for([run]), run, check=False)
     assert again.runs[0].channels["angle"].rmse < 1e-3
 
@@ -87,7 +87,7 @@ def test_a_sidecar_offers_the_operators(tmp_path, capsys):
     assert "# rows = 40" in text
     capsys.readouterr()
     assert main(["check", "--data", str(path)]) == 0
-    assert "operator not stated in [hysteresis]" in capsys.readouterr().out
+    assert "[hysteresis] specifies no operator" in capsys.readouterr().out
 
 
 def refused(capsys, arguments, words):
@@ -169,7 +169,7 @@ def test_the_choice_is_a_table(loops, capsys):
     first, second = record["candidates"]
     assert (first["model"], second["model"]) == ("prandtl_ishlinskii", "play")
     assert first["delta_aic"] == first["delta_bic"] == 0
-    # As good as the noise of 0.3 deg, where one play is not.
+    # The residual is as small as the noise of 0.3 deg; that of a single play is larger.
     assert first["held_out_rmse"] < 0.4 < second["held_out_rmse"]
 
 
@@ -184,7 +184,7 @@ def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
         cells = line.split()
         assert cells[:2] == [row["history"], row["compensation"]]
         assert float(cells[2]) == pytest.approx(float(row["mean_error_deg"]), abs=0.006)
-    # The numbers of the figure are those of the table.
+    # The numbers of the figure equal those of the table.
     with (out / "fig12.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["angle_deg"]]
     for row in errors:
@@ -197,7 +197,7 @@ def test_the_experiment_writes_its_figure_and_numbers(tmp_path, capsys):
         assert np.max(found) == pytest.approx(float(row["largest_error_deg"]), abs=2e-4)
     assert (out / "fig12.png").read_bytes()[:4] == b"\x89PNG"
     assert read_run(out / "recording.csv").model == "hysteresis"
-    # The fit that it wrote can be used.
+    # The fit that the command wrote can be used.
     target = target_file(tmp_path / "target.csv", ANGLES)
     command = ["compensate", str(out), "--target", target]
     assert main([*command, "--to", str(tmp_path / "command.csv")]) == 0

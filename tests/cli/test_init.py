@@ -1,4 +1,4 @@
-"""`giajax init`: a sidecar to fill in."""
+"""`giajax init`: a sidecar that the user completes."""
 
 import pytest
 

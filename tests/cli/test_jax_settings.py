@@ -1,4 +1,4 @@
-"""The command line's settings of JAX: 64-bit, and a compilation cache of the user's."""
+"""JAX settings of the command line: 64-bit arithmetic, and a compilation cache per user."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""`giajax joint`: pictures and numbers of one joint at rest."""
+"""`giajax joint`: figures and numbers of one joint at rest."""
 
 import csv
 
@@ -8,7 +8,7 @@ import pytest
 from giajax.cli import main
 
 PICTURES = ("fig09.png", "fig10.png", "corrections.png", "joint.png", "equilibria.png")
-WIDTHS = {"fig09.png": 10, "fig10.png": 10, "corrections.png": 8}  # inches; the others 11
+WIDTHS = {"fig09.png": 10, "fig10.png": 10, "corrections.png": 8}  # inches; all others are 11
 
 
 def rows(path):
@@ -28,7 +28,7 @@ def written(tmp_path_factory):
 def test_a_neck_of_the_help_is_drawn_and_one_that_muscles_crush_is_refused(tmp_path, capsys):
     assert main(["joint", "--out", str(tmp_path), "--set", "neck.radius=0.045"]) == 0
     found = rows(tmp_path / "equilibria.csv")
-    # The straight neck is tight, and pressures for more than 51 degrees crush it.
+    # The straight neck is tight, and the pressures for angles above 51 degrees crush it.
     assert max(float(row["stiffness_N_m_per_rad"]) for row in found) > 100
     assert max(abs(float(row["target_deg"])) for row in found) == 51
     assert main(["joint", "--out", str(tmp_path / "no"), "--set", "neck.radius=0.01"]) != 0
@@ -79,16 +79,16 @@ def test_the_points_are_where_they_should_be(written):
     inner, outer = points[30], points[-30]
     assert set(inner) == set("ABCDEH")
     assert set(outer) == set("BDEMNOPQ")
-    # H lies on the bisector, at half the wire from B and D, below A and C.
+    # H is on the bisector, half a wire from B and D, below A and C.
     assert inner["H"][0] == 0
     for end in "BD":
         assert np.linalg.norm(inner["H"] - inner[end]) == pytest.approx(0.17, abs=1e-8)
     assert inner["H"][1] < inner["C"][1]
-    # The muscle goes over P and Q at one height, and down to M and N.
+    # The muscle passes P and Q at the same height, and goes down to M and N.
     assert outer["P"][1] == outer["Q"][1] == outer["O"][1] > outer["N"][1]
     for letter, image in (("A", "C"), ("B", "D")):
         np.testing.assert_allclose(inner[letter], inner[image] * [-1, 1])
-    # Angles and lengths of the links are kept.
+    # The angles and lengths of the links are preserved.
     for point, size in (("C", np.hypot(0.9, 0.18)), ("D", np.hypot(0.03, 0.04))):
         assert np.linalg.norm(inner[point]) == pytest.approx(size, abs=1e-8)
 
@@ -172,6 +172,9 @@ def test_a_format_or_a_resolution_that_there_is_not(tmp_path, capsys):
     assert main(["joint", "--out", str(tmp_path / "new"), "--dpi", "5"]) == 2
     assert "'--dpi'" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+    # Without a folder, this command only prints.
+    assert main(["fill", "--format", "svg"]) == 2
+    assert "no picture is written without --out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["run.csv", "there/run.csv"])
@@ -181,7 +184,7 @@ def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
     assert main(["joint", "--out", str(tmp_path / name)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    # Before anything is computed.
+    # The command fails before anything is computed.
     assert "solving" not in err
     assert "the output must be a folder" in err
     assert not (tmp_path / "run.csv").exists()

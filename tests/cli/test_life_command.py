@@ -1,4 +1,4 @@
-"""`giajax life`: what it writes, and what it refuses."""
+"""`giajax life`: its files, and the input that it refuses."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""What once ended in a traceback, ran for ever or was read in silence: one sentence, status 2."""
+"""Former tracebacks, endless loops and silent misreadings: one sentence and status 2."""
 
 import os
 import re
@@ -22,7 +22,7 @@ MANY = ",".join(["time_s", *(f"link{index}_z_m" for index in range(100_000))])
 LEAP = HEAD + "".join(f"{time},0,0\n" for time in (0, 0.01, 0.02, 0.03, 40, 50, 60))
 BODY = "[[arm.point_masses]]\nlink = 25\nmass_kg = 1\nposition_m = 0.5\n"
 
-# content of run.csv, content of run.toml, and what the sentence must contain
+# content of run.csv, content of run.toml, and a required part of the message
 CASES = {
     "links of 5,000 digits": (GOOD, f"[arm]\nlinks = {'9' * 5_000}", ["more than 64 bits"]),
     "links in hexadecimal": (GOOD, f"[arm]\nlinks = 0x{'f' * 50_000}", ["more than 64 bits"]),
@@ -75,7 +75,7 @@ CASES = {
 
 
 def refused(capsys, *arguments):
-    """The sentence that a command line is refused with."""
+    """Return the message with which a command line is refused."""
     assert main(list(map(str, arguments))) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -167,7 +167,7 @@ def test_what_is_no_file_is_not_opened(tmp_path, capsys):
 def test_a_run_larger_than_the_limit_is_not_read(tmp_path, capsys):
     run = tmp_path / "run.csv"
     with run.open("wb") as file:
-        file.truncate(_limits.RUN_BYTES + 1)  # takes no room on the disk
+        file.truncate(_limits.RUN_BYTES + 1)  # a sparse file, which uses no disk space
     assert "1,073,741,825 bytes" in refused(capsys, "check", "--data", run)
 
 
@@ -221,7 +221,7 @@ def test_nothing_is_written_through_a_link(tmp_path, monkeypatch):
     assert path.read_bytes() == b"new"
     assert other.read_text() == "mine"
 
-    # Where root writes, /dev/full would be a file from then on.
+    # If root writes to it, /dev/full must not be replaced by a file.
     for name, to in (("pipe", None), ("device", "/dev/full")):
         place = tmp_path / f"{name}.csv"
         os.mkfifo(place) if to is None else place.symlink_to(to)
@@ -229,7 +229,7 @@ def test_nothing_is_written_through_a_link(tmp_path, monkeypatch):
             write_files({place: b"new"}, force=True)
         assert place.is_fifo() or place.is_char_device()
 
-    # Somebody who could guess the temporary name.
+    # Another user guesses the temporary name.
     monkeypatch.setattr("secrets.token_hex", lambda bytes: "guessed")
     planted = tmp_path / ".guessed.part"
     planted.symlink_to(other)

@@ -1,6 +1,6 @@
-"""Long fits as processes: signals, full disks, budgets, and two at a time.
+"""Long fits as processes: signals, full disks, budgets, and two fits at a time.
 
-That a killed fit goes on to the same numbers is a study, `evidence/_kills.py`.
+The study `evidence/_kills.py` shows that a killed fit continues to the same numbers.
 """
 
 import json
@@ -35,7 +35,7 @@ RUNNING = []
 
 @pytest.fixture(autouse=True)
 def nothing_goes_on():
-    """What a test that failed has left running is ended."""
+    """End processes that a failed test has left running."""
     yield
     while RUNNING:
         running = RUNNING.pop()
@@ -56,13 +56,13 @@ def process(*words, seconds=0.0, code=None, cwd=None):
 
 
 def ended(running):
-    """Exit status, standard output, standard error."""
+    """Wait for the end; return exit status, standard output and standard error."""
     out, err = running.communicate(timeout=120)
     return running.returncode, out, err
 
 
 def wait_for(running, word):
-    """Until a line of the progress begins with a word."""
+    """Wait until a progress line starts with a word."""
     for line in running.stderr:
         if line.split()[:1] == [word]:
             return
@@ -70,7 +70,7 @@ def wait_for(running, word):
 
 
 def numbers(path):
-    """All numbers of a result; not how long it took, nor where it is."""
+    """Return all numbers of a result, without times and paths."""
     record = json.loads((Path(path) / "result.json").read_text())
     del record["seconds"], record["task"]
     return record
@@ -78,7 +78,7 @@ def numbers(path):
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """The numbers of a fit that nothing happens to."""
+    """Return the numbers of a fit that is not disturbed."""
     home = tmp_path_factory.mktemp("plain")
     write_task(home)
     running = process(*FIT, cwd=home)
@@ -121,7 +121,7 @@ sys.exit(main())
 
 @pytest.mark.parametrize("module", ["giajax.cli", "numpy", "equinox"])
 def test_a_signal_before_anything_is_computed_is_one_line(folder, module):
-    """From the first import on."""
+    """This holds from the first import on."""
     before = sorted(os.listdir())
     running = process(*FIT, code=STOPPED_AT.format(module=module))
     assert ended(running) == (143, "", "giajax: interrupted\n")
@@ -130,7 +130,7 @@ def test_a_signal_before_anything_is_computed_is_one_line(folder, module):
 
 @pytest.mark.slow
 def test_a_second_signal_ends_it_at_once(folder):
-    """Also where the first one is held up, here by a writer that takes its time."""
+    """This also holds while the first one is delayed, here by a slow writer."""
     code = SLOWLY.format(seconds=0.5).replace(
         "sys.exit",
         "import giajax.report\n"
@@ -154,7 +154,7 @@ def test_a_second_signal_ends_it_at_once(folder):
 def test_two_fits_in_one_folder_do_not_mix(folder, plain):
     first = process(*FIT, seconds=0.1)
     wait_for(first, "1")
-    first.send_signal(signal.SIGSTOP)  # until the second one has tried
+    first.send_signal(signal.SIGSTOP)  # paused until the second fit has tried to write
     status, out, err = ended(process(*FIT))
     first.send_signal(signal.SIGCONT)
     assert (status, out, err.count("\n")) == (2, "", 1)
@@ -165,7 +165,7 @@ def test_two_fits_in_one_folder_do_not_mix(folder, plain):
 
 @pytest.fixture
 def small_disk(folder):
-    """A disk of 48 kB, where this user may have one."""
+    """Return a disk of 48 kB, if this user may mount one."""
     home = folder / "disk"
     home.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=48k", "none", str(home)]
@@ -178,7 +178,7 @@ def small_disk(folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [0, 8_192, 40_960])
 def test_a_small_disk_loses_no_number(small_disk, plain, room):
-    """What its files cannot take goes to standard output, and where that is a file there, too."""
+    """Content without space on the disk goes to standard output, even if that is a file there."""
     (small_disk / "filler").write_bytes(bytes(48 * 1024 - room))
     words = [*FIT[:-1], str(small_disk / "out")]
     status, out, err = ended(process(*words))
@@ -240,7 +240,10 @@ WRONG = {
     "no unit": (["loops_fit.toml", "--budget", "10"], 'such as "90s", "10m" or "2h"'),
     "again and data": (["--again", "out", "--data", "loops.csv"], "omit the other options"),
     "again and resume": (["--again", "out", "--resume", "out"], "omit the other options"),
-    "a journal of words": (["--resume", "words"], "is damaged in line 1, or is not a journal"),
+    "a journal of words": (
+        ["--resume", "words"],
+        "is damaged at line 1, or is not a giajax journal",
+    ),
 }
 
 
@@ -271,7 +274,9 @@ def test_the_time_left_is_said_as_far_as_it_is_known(monkeypatch):
     assert told(TimeLeft(50), 0.2, range(20)) == []
     sentences = told(TimeLeft(50), 10.0, range(12))
     assert len(sentences) == 2
-    assert sentences[0] == ("at most 8 min left: 48 steps of 10 s; most fits need far fewer steps")
+    assert sentences[0] == (
+        "at most 8 min left: 48 steps of 10 s, but most fits need far fewer steps"
+    )
     (sentence,) = told(TimeLeft(50, budget_s=100.0), 10.0, range(5))
     assert sentence == "at most 1.2 min left until the budget ends the fit"
     several = TimeLeft(50, starts=8)
@@ -280,4 +285,4 @@ def test_the_time_left_is_said_as_far_as_it_is_known(monkeypatch):
     several.start()
     (sentence, *_) = told(several, 10.0, range(8))
     assert sentence.startswith("about ")
-    assert sentence.endswith("left for the starts up to 8, estimated from the previous starts")
+    assert sentence.endswith("left until all 8 starts are done, estimated from the previous starts")

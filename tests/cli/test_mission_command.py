@@ -1,4 +1,4 @@
-"""`giajax mission` as a user runs it: what it prints and writes, and what it refuses."""
+"""`giajax mission` as a user runs it: its output and files, and the input that it refuses."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
 
 
 def blind(folder):
-    """A short mission without pictures, as tests/apps/mission has it: the same program."""
+    """Write a short mission without pictures; it shares a program with tests/apps/mission."""
     text = MISSION.read_text(encoding="utf-8")
     for told, short in ("limit_s = 720.0", "limit_s = 60.0"), ("[640, 480]", "[1, 1]"):
         assert text.count(told) == 1
@@ -71,7 +71,7 @@ def test_a_mission_and_many(tmp_path, capsys):
             "--page applies to a single mission: omit --cases",
         ),
         (("--controller", "pid"), "the controller is 'pid': give one of operator, mpc"),
-        (("--keep-station", "0"), "--keep-station is 0: give seconds from 1 to 3600"),
+        (("--keep-station", "0"), "--keep-station is 0: give a time from 1 to 3600 s"),
         (
             ("--keep-station", "9", "--cases", "3"),
             "--keep-station applies to a single mission: omit --cases",

@@ -9,14 +9,14 @@ from giajax.apps.paper import FIGURES, Reproduced, Sources
 from giajax.cli import main
 from giajax.report import new_figure
 
-# The last one takes hours, and is asked for by an option.
+# The last figure takes hours, and is only made with an option.
 NAMES = tuple(FIGURES)[:-1]
 
 
 @pytest.mark.quick
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
     assert main(["paper", "fig7", "--out", str(tmp_path)]) == 2
-    assert "there is no figure 'fig7': use one of fig5" in capsys.readouterr().err
+    assert "the figure 'fig7' does not exist: use one of fig5" in capsys.readouterr().err
 
 
 @pytest.mark.quick
@@ -36,7 +36,7 @@ def test_only_table_3_has_an_inverse(tmp_path, capsys):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Names of figures as they are made, each a picture of a line; the third one is stopped."""
+    """Replace the figures by simple ones and record their names; the third one is interrupted."""
     names = []
 
     def make(name):
@@ -63,11 +63,11 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     assert made == [*NAMES[:2], "again"]
     assert main(words) == 0
     assert made == [*NAMES[:2], "again", *NAMES[2:]]
-    assert f"{NAMES[0]}, {NAMES[1]}: complete, and kept" in capsys.readouterr().err
+    assert f"already complete: {NAMES[0]}, {NAMES[1]} (use --force" in capsys.readouterr().err
     page = (tmp_path / "index.html").read_text()
     assert "Content-Security-Policy" in page
     assert [f"This is {name}" in page for name in NAMES] == [True] * len(NAMES)
-    # What is whole stays, and what is not is not this command's to write over.
+    # Complete figures are kept. Incomplete ones may belong to the user, and are not overwritten.
     (tmp_path / "fig12.png").write_bytes(b"half")
     assert main(words) == 2
     assert "fig12.png exists and is not overwritten" in capsys.readouterr().err
@@ -76,7 +76,7 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     (tmp_path / "fig12.json").unlink()
     assert main([*words, "--quiet"]) == 0
     assert made[len(NAMES) + 1 :] == ["fig12"]
-    # Neither is a page of someone else.
+    # A page of the user is not overwritten, either.
     (tmp_path / "index.html").write_text("mine")
     assert main(words) == 2
     assert "index.html exists and is not overwritten" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`giajax parameters`: the declarations, as a table and as JSON."""
+"""`giajax parameters`: the parameter declarations as a table and as JSON."""
 
 import io
 import json
@@ -41,7 +41,7 @@ def test_the_table_has_a_row_for_every_declaration(capsys):
 
 
 def test_on_a_terminal_it_is_text_without_codes(monkeypatch):
-    """What a file says must not command a terminal, so that nothing does."""
+    """The content of a file must not control the terminal, so no output contains codes."""
 
     class Terminal(io.StringIO):
         def isatty(self):
@@ -68,7 +68,7 @@ def test_json_says_what_is_declared(capsys):
         )
         value = np.asarray(parameter.value(MODEL))
         assert facts[path]["elements"] == (None if value.ndim == 0 else value.size)
-        # The default of the declaration is the value of the preset.
+        # The default of the declaration equals the value in the preset.
         np.testing.assert_allclose(value, facts[path]["default"], rtol=1e-12)
 
 
@@ -99,7 +99,7 @@ def test_units_of_a_loop_are_those_of_its_columns_in_si(capsys, tmp_path):
     path.write_text("input_kPa,output_mm\n0,0\n100,2\n50,1.5\n")
     path.with_suffix(".toml").write_text('model = "hysteresis"\n')
     facts = listed(capsys, "--data", str(path))
-    # --start and --fix take what is listed.
+    # The listed values can be used with --start and --fix.
     assert facts["thresholds"]["value"][-1] == pytest.approx(100e3 / 2 * 10 / 11)
     units = {name: facts[name]["unit"] for name in ("thresholds", "elastic", "offset")}
     assert units == {"thresholds": "Pa", "elastic": "m/Pa", "offset": "m"}
@@ -184,7 +184,7 @@ def test_a_run_of_another_kind_shows_the_values_of_its_sidecar(capsys, tmp_path)
     assert facts["geometry.wire_length"]["default"] == 0.34
 
 
-# What each needs beside its name, as the error says.
+# Further settings that each parameter requires, as the error says.
 NEED_MORE = {
     "joints.memory.nu": "choose a value strictly between 1 and 20",  # its default is a bound
     "air.axial_coefficient": "use drag = 'strip'",

@@ -1,4 +1,4 @@
-"""`giajax posterior`, as users run it, and what a page then shows of it."""
+"""`giajax posterior` as users run it, and its results on a page."""
 
 import dataclasses
 import json
@@ -29,7 +29,7 @@ def test_it_writes_what_it_found_beside_the_result(fit, capsys):
     known = json.loads((fit / "posterior.json").read_text())
     result = json.loads((fit / "result.json").read_text())
     free = {path for path, one in result["parameters"].items() if one["free"]}
-    # A muscle at rest says nothing of how its friction begins.
+    # Data of a muscle at rest give no information about the onset of its friction.
     assert known["held"] == ["friction.presliding"]
     assert known["parameters"].keys() == free - {"friction.presliding"}
     assert (known["chains"], known["draws"], known["cost"]) == (2, 60, result["cost"])
@@ -38,8 +38,8 @@ def test_it_writes_what_it_found_beside_the_result(fit, capsys):
         assert one["linear"] == pytest.approx(linear)
         assert linear[0] < one["mean"] < linear[1]
     assert any("use more draws" in sentence for sentence in known["warnings"])
-    for name in ("posterior.png", "posterior_bands.png", "posterior_bands.csv"):
-        assert (fit / name).stat().st_size > 1000
+    for name in (".png", "_trace.png", "_bands.png", "_bands.csv"):
+        assert (fit / f"posterior{name}").stat().st_size > 1000
     assert main(["posterior", str(fit), "--chains", "2", *FEW]) == 2
     assert "posterior.json exists" in capsys.readouterr().err
 
@@ -66,7 +66,7 @@ def test_more_chains_keep_those_that_are_there_and_a_page_shows_them(fit, tmp_pa
     page = Page((folder / "report.html").read_bytes())
     assert "posterior" in page.headings
     assert "3 chains of 60 draws" in page.text
-    # That of another fit is not shown.
+    # The posterior of another fit is not shown.
     result = load_result(folder)
     other = dataclasses.replace(result, cost=1.01 * result.cost)
     assert [section.id for section in sections(result, folder / "result.json")] == ["posterior"]

@@ -1,4 +1,4 @@
-"""`giajax predict`: errors of a model on runs that it was not fitted to."""
+"""`giajax predict`: errors of a model on runs that were not used in its fit."""
 
 import csv
 import dataclasses
@@ -33,7 +33,7 @@ def test_errors_of_two_models_and_their_ratio(arm_fit, tmp_path):
     assert len(rows) == len(out.splitlines()) - 1
     assert all(float(row["ratio"]) < 1 for row in rows)
     assert {row["unit"] for row in rows} == {"m"}
-    # Nothing is written over without being told to.
+    # No file is overwritten without --force.
     status, out, error = giajax(*asked, "--to", table)
     assert status == 2
     assert "--force" in error
@@ -51,7 +51,7 @@ def test_one_channel_of_one_model(arm_fit):
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory):
-    """A result that fitted a turned, late camera, and a run that an exact one saw."""
+    """Return the fit of a rotated, late camera, and a run recorded by an exact camera."""
     folder = tmp_path_factory.mktemp("filmed")
     model = replace(ArmModel(takeichi_20m(LINKS)), TRUTH)
     turned = replace(model, {"camera.rotation": [0.0, 0.3, 0.0], "camera.delay": 0.1})
@@ -84,7 +84,7 @@ def test_another_camera_and_wind_are_those_of_the_run(filmed):
 
     assert error() > 2 * NOISE
     assert error(without=["camera"]) < 1.2 * NOISE
-    # What the sidecar states is what the run has; of parts of a group likewise.
+    # Settings in the sidecar apply to the run, also for single parts of a group.
     stated = {**recorded.definition.contents(), "sensors": {"camera_delay_s": 0.05}}
     late = dataclasses.replace(recorded, definition=Definition.parse(stated, "late"))
     windy = replace(result.model, {"air.wind": [0.0, 0.5, 0.0]})
@@ -134,7 +134,7 @@ def test_without_on_the_command_line(filmed):
 
 
 def test_names_of_the_fit_are_no_others_of_another_recording(tmp_path):
-    """Input and output were exchanged in the fitted file alone."""
+    """Input and output are exchanged only in the fitted file."""
     task = FitTask.load(small_loops.write_task(tmp_path))
     file, other = tmp_path / "loops.csv", tmp_path / "other.csv"
     file.write_text(file.read_text().replace("input,output", "output,input"))

@@ -1,4 +1,4 @@
-"""Tables of the command line: what is printed can be read and copied."""
+"""Tables of the command line can be read and copied."""
 
 import re
 import shlex
@@ -31,7 +31,7 @@ def test_a_terminal_shows_every_name_and_number_whole(monkeypatch, capsys, width
     for name in NAMES:
         assert any(line.startswith(f"{name} ") and "0.0043675" in line for line in lines)
     assert all(word in said.split() for word in MEANING.split())
-    # Where there is room, no line is longer than the terminal.
+    # If the terminal is wide enough, no line is longer than it.
     if int(width) >= 80:
         assert max(map(len, lines)) <= int(width)
 
@@ -61,7 +61,7 @@ MANY = [f"{path}[{index}]" for index, path in enumerate(FREE * 2)]
 
 
 def progress_lines(paths, capsys, monkeypatch):
-    """The heading and the row of a fit of these parameters."""
+    """Return the heading and one row of the progress of a fit of these parameters."""
     monkeypatch.setattr("giajax.fitting.column_factors", lambda model: {})
     progress = Progress(SimpleNamespace(model=None, nuisances=()))
     capsys.readouterr()
@@ -85,7 +85,7 @@ def test_progress_in_80_columns_cuts_no_name(paths, shown, capsys, monkeypatch):
     assert max(map(len, lines)) <= 80
     *head, row = lines
     if shown < len(paths):
-        assert head.pop() == f"({len(paths) - shown} more parameters do not fit into the terminal)"
+        assert head.pop() == f"({len(paths) - shown} more parameters do not fit in the terminal)"
     assert len(row.split()) == 2 + shown
     ends = [match.end() for match in re.finditer(r"\S+", row)][2:]
     for path, (start, end) in zip(paths, zip([34, *ends], ends, strict=False), strict=False):
@@ -101,7 +101,7 @@ def test_an_interval_ends_where_the_error_says():
 
 @pytest.mark.quick
 def test_what_follows_can_be_pasted(tmp_path, monkeypatch, capsys):
-    """From the file on, each command names the next one, with names that a shell must not split."""
+    """Each command names the next one, with names that a shell must not split."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "my runs"
     folder.mkdir()

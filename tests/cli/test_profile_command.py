@@ -1,4 +1,4 @@
-"""`giajax profile`, as users run it: what it writes, adds to, and refuses to write over."""
+"""`giajax profile` as users run it: its files, which it extends but does not overwrite."""
 
 import json
 import shutil
@@ -31,7 +31,7 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
     first = load_profiles(fit)
     assert list(first.profiles) == free[:1]
 
-    # Another one is added; the first is not made again.
+    # Another profile is added. The first one is not repeated.
     assert (
         main(["profile", str(fit), "--parameter", free[0], "--parameter", free[1], "--no-figures"])
         == 0
@@ -50,13 +50,13 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
     assert low < both[free[0]].value < high
     assert f"{low:.5g} .. {high:.5g}" in parsed.text
 
-    # Those of another level, and of another fit, are not written over, and not shown.
+    # Profiles of another level or another fit are neither overwritten nor shown.
     assert main(["profile", str(fit), "--parameter", free[0], "--level", "0.9"]) == 2
-    assert "belongs to the level 0.95: give --force to overwrite it" in capsys.readouterr().err
+    assert "belongs to the level 0.95: use --force to overwrite it" in capsys.readouterr().err
     record = json.loads((fit / "profiles.json").read_text())
     (fit / "profiles.json").write_text(json.dumps({**record, "fit": "0"}))
     assert main(["profile", str(fit), "--parameter", free[0]]) == 2
-    assert "belongs to another fit: give --force" in capsys.readouterr().err
+    assert "belongs to another fit: use --force" in capsys.readouterr().err
     assert main(["report", str(fit), "--page", str(page), "--quiet", "--force"]) == 0
     assert "profiles" not in Page(page.read_bytes()).headings
 

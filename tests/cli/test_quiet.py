@@ -1,4 +1,4 @@
-"""What a command prints with `--quiet`: nothing, where all is well; and what it writes."""
+"""With `--quiet`, a successful command prints nothing but writes its files."""
 
 import shutil
 from pathlib import Path
@@ -15,7 +15,7 @@ LOOPS = MUSCLE.parent / "loops" / "fit"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A run of a muscle, its fit, and what other commands take."""
+    """Return a run of a muscle, its fit, and the input files of other commands."""
     folder = tmp_path_factory.mktemp("quiet")
     shutil.copytree(MUSCLE, folder, dirs_exist_ok=True)
     shutil.copytree(LOOPS, folder / "loops")

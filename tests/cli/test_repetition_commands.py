@@ -1,4 +1,4 @@
-"""`giajax bootstrap` and `giajax influence`: a stored fit is repeated, by its files."""
+"""`giajax bootstrap` and `giajax influence`: a stored fit is repeated from its files."""
 
 import dataclasses
 import json
@@ -16,7 +16,7 @@ EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "hysteresis"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A stored fit of one free loop, which compiles in a moment."""
+    """A stored fit of one free loop, which compiles quickly."""
     folder = tmp_path_factory.mktemp("repeated") / "fit"
     shutil.copytree(EARLIER, folder)
     return folder
@@ -37,7 +37,7 @@ def test_a_fit_is_repeated_and_the_files_lie_beside_it(folder, capsys):
     for path in found.parameters:
         assert path in printed.out
     assert (folder / "bootstrap.png").read_bytes()[:4] == b"\x89PNG"
-    # Nothing is written over; and what was done is there for another file.
+    # No file is overwritten, and finished repetitions can be written to another file.
     assert bootstrap(folder, "--size", "3") == 2
     assert "exists and is not overwritten" in capsys.readouterr().err
     options = ["--folder", str(kept), "--out", str(folder / "again"), "--no-figures", "--json"]
@@ -63,7 +63,7 @@ def test_what_spans_do_is_told_and_drawn(folder, capsys):
 def test_a_self_test_is_written_beside_the_result_or_says_why_not(
     folder, tmp_path, capsys, monkeypatch
 ):
-    """What `giajax fit --self-test` does when the fit has ended."""
+    """`giajax fit --self-test` does this when the fit has ended."""
     monkeypatch.setattr(_bootstrap, "_SELF_TEST", 3)
     result, run = load_result(folder), read_run(folder / "run.csv")
     files = _bootstrap.self_test(result, [run], tmp_path, shown=True)

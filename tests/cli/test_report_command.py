@@ -1,4 +1,4 @@
-"""`giajax report` and `giajax fit --report`, as users run them, of models of several kinds."""
+"""`giajax report` and `giajax fit --report` as users run them, for several kinds of models."""
 
 import shutil
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_a_fit_writes_its_page_and_the_next_one_removes_it(fit, tmp_path):
     assert b"Content-Security-Policy" in page
     assert loaded_from_elsewhere(page) == []
     parsed = Page(page)
-    assert "arm" not in parsed.headings  # nothing is seen of a muscle
+    assert "arm" not in parsed.headings  # a muscle has no view of an arm
     assert f"giajax fit --again {fit / 'result.json'}" in parsed.text
     assert load_result(fit).runs[0].sha256 in parsed.text
     shutil.copytree(fit, tmp_path / "fit")
@@ -43,7 +43,7 @@ def test_a_page_of_a_result_is_not_written_over(fit, tmp_path, capsys):
     assert "--force" in capsys.readouterr().err
     assert out.read_bytes() == first
     assert main([*command, "--force", "--quiet"]) == 0
-    assert main(["report", str(fit)]) == 2  # that of the fit is there
+    assert main(["report", str(fit)]) == 2  # the page of the fit exists
     assert capsys.readouterr().out == ""
 
 

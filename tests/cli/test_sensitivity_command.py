@@ -1,4 +1,4 @@
-"""`giajax sensitivity`: picture and tables of a planned or recorded run."""
+"""`giajax sensitivity`: the figure and the tables of a planned or recorded run."""
 
 import csv
 
@@ -26,7 +26,7 @@ def test_a_planned_run_has_a_picture_and_two_tables(tmp_path, capsys):
     bodies = list(csv.DictReader((out / "information.csv").read_text().splitlines()))
     assert [row["body"] for row in bodies] == ["link01", "link02", "link03", "all"]
     assert sum(float(row["share_percent"]) for row in bodies[:3]) == pytest.approx(100, abs=1e-3)
-    # Nothing is written over.
+    # No file is overwritten.
     assert main(["sensitivity", *DRAG, *SHORT, "--out", str(out)]) == 2
 
 

@@ -1,4 +1,4 @@
-"""`giajax simulate`: a run that is read, checked and fitted, or one sentence."""
+"""`giajax simulate`: a run that can be read, checked and fitted, or one error message."""
 
 import re
 import shlex
@@ -33,7 +33,7 @@ def simulate(out, *options, status=0):
 
 
 def reproduced(run):
-    """What the truth of a run predicts for it, from its files alone."""
+    """Return the prediction of a run by its true values, from its files alone."""
     truth = run.definition.truth
     return predict(replace(ArmModel(arm_from_definition(run.definition)), truth), run)
 
@@ -117,7 +117,7 @@ def test_commands_and_wind_of_a_recorded_run(out, tmp_path):
         '[command]\ninterpolation = "zoh"\n[arm]\nlinks = 4\nlink_mass_kg = 9.0\n'
     )
     run = simulate(out, "--links", "3", "--command", str(recorded), "--channels", "tip")
-    # The arm is that of this command, whatever recorded the commands.
+    # The arm is that of this command, not that of the recording with the commands.
     assert (run.definition.arm.links, run.definition.arm.link_mass_kg) == (3, 0.047)
     assert (run.times[0], run.times[-1]) == (1.0, 3.0)
     at = {round(time, 6): row for row, time in enumerate(run.times)}
@@ -170,7 +170,7 @@ def test_wind_alone_moves_the_arm(out):
 
 @register
 class Upwards(AbstractWind):
-    """A wind of one's own, which a file names."""
+    """A user-defined wind that a file names."""
 
     def __call__(self, position, time):
         return jnp.broadcast_to(jnp.asarray([0.0, 0.0, 0.2]), position.shape)
@@ -190,7 +190,7 @@ def test_a_wind_field_alone_moves_the_arm(out, tmp_path):
 
 @pytest.mark.slow
 def test_what_is_written_of_an_own_arm_begins_at_that_arm(out, tmp_path, capsys):
-    """With no note of a preset that nobody named; the truth is in no start."""
+    """No note mentions a preset that was not given, and the true values are not initial guesses."""
     (tmp_path / "own.toml").write_text(
         '[arm]\npreset = "chain"\nlinks = 2\nlink_length_m = 0.5\nlink_diameter_m = 0.05\n'
         'link_mass_kg = 0.1\njoint_axes = ["pitch", "pitch"]\n'
@@ -204,7 +204,7 @@ def test_what_is_written_of_an_own_arm_begins_at_that_arm(out, tmp_path, capsys)
     assert float(get(model, "joints.damping")) == 0.05
     assert np.allclose(bodies(model.arm).mass, 0.1)
     (sentence,) = model.conditions(["joints.damping"], [run])
-    assert "the mass of link 1, 2 is given by its structural point masses" in sentence
+    assert "structural point masses give the mass of links 1, 2" in sentence
     assert "links.mass" not in sentence
     paper = simulate(tmp_path / "paper.csv", *SHORT, "--ramp", "1=10", "--channels", "link02_z")
     assert paper.definition.arm.preset == "takeichi_20m"
@@ -342,15 +342,15 @@ def test_help_imports_no_jax():
 
 @pytest.mark.slow
 def test_gusts_are_recorded_about_the_mean_wind(out, capsys):
-    """And the arm moves in them alone."""
+    """The arm moves in the gusts alone."""
     run = simulate(out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4,0.2,0:2")
     assert "--gusts 0.4,0.2,0:2" in run.definition.origin
     command, note = run.definition.origin.split("  # ")
     assert shlex.split(run.definition.origin, comments=True) == shlex.split(command)
-    assert f"{note} (option --rate)" in capsys.readouterr().out
+    assert f"{note} (see --rate)" in capsys.readouterr().out
     along, level = (float(share) for share in re.findall(r"([\d.]+)% a", note))
     assert 0 < along < level < 10
-    # What is stated is all of it a parameter.
+    # All true values are values of parameters.
     replace(ArmModel(arm_from_definition(run.definition)), run.definition.truth)
     assert run.definition.wind.velocity_m_per_s is None
     across = run.values["wind_y"]
@@ -362,7 +362,7 @@ def test_gusts_are_recorded_about_the_mean_wind(out, capsys):
 
 @pytest.mark.slow
 def test_each_link_has_gusts_of_its_own(out):
-    """What is read again is what moved the arm: its own run, predicted, is the same."""
+    """The recorded winds are those that moved the arm, so the prediction of the run agrees."""
     run = simulate(
         out, *SHORT, "--wind", "0,0.3,0", "--gusts", "0.4:1", "--coherence", "12",
         "--set", "air.added_mass_coefficient=1", "--channels", "tip",

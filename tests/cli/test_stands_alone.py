@@ -1,7 +1,7 @@
-"""A result stands alone: every command on it, and every hint that is printed, works.
+"""A result is self-contained: every command on it, and every printed hint, works.
 
-That is on a fit with renamed columns and spaces in names, from another folder, and where its files
-have moved.
+The fit has renamed columns and names with spaces. The commands run in another folder, and after
+files have been moved.
 """
 
 import html
@@ -16,13 +16,13 @@ from giajax.models import ArmModel
 from small_arm import STARTS, make_run
 
 RENAMED = {"t": "time_s", "first": "joint01_command_deg", "high up": "link04_z_m"}
-# Of what is to be typed; "giajax profile" within a sentence names a command.
+# Commands that a user can type; "giajax profile" within a sentence only names a command.
 HINT = re.compile(r"(?:: |^ *|`)giajax ((?!\d)\w+ [^`]*)")
 
 
 @pytest.fixture
 def world(tmp_path, monkeypatch):
-    """A folder with a recording whose columns are called otherwise, which commands start in."""
+    """A folder with a recording whose columns are renamed; the commands start in this folder."""
     here = tmp_path / "my arm"
     here.mkdir()
     monkeypatch.chdir(here)
@@ -54,7 +54,7 @@ def fitted(capsys, *more, status=0):
 
 
 def hints(said):
-    """The commands that a text says to run, as lists of words."""
+    """Return the commands that a text suggests, as lists of words."""
     found = [HINT.search(line) for line in said.splitlines()]
     return [shlex.split(match[1].removesuffix(":")) for match in found if match]
 
@@ -91,7 +91,7 @@ ON_A_RESULT = (
      "--draws", "1"],
     ["sweep", "a plan.toml"],
 )  # fmt: skip
-# What makes a run, of whatever is there, and says how to go on.
+# Commands that generate a run from existing files, and suggest the next command.
 ON_A_RUN = (
     ["simulate", "--links", "2", "--duration", "1", "--step", "1=5", "--to", "a new run.csv"],
     ["import", "the run.csv", *options(), "--to", "an import.csv"],
@@ -104,8 +104,8 @@ ON_A_RUN = (
 
 @pytest.mark.long
 def test_every_hint_of_every_command_works(world, capsys, monkeypatch):
-    """What is printed to be typed is typed, and so is what that prints."""
-    # Each choice of the model would be a program for the suspects, and is one more row of a table.
+    """Every printed command is run, and every command that it prints, too."""
+    # Without model variants, because each would compile a program and only add a table row.
     monkeypatch.setattr(ArmModel, "variants", lambda self: {})
     said = fitted(capsys, "--max-iterations", "3", "--no-suspects", status=1)
     (resume,) = hints(said)
@@ -123,7 +123,7 @@ def test_every_hint_of_every_command_works(world, capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_studies_of_windows_work_where_the_recording_has_moved(world, capsys, tmp_path):
-    """Of windows, each has a state of its own; the files lie in the folder of the result."""
+    """Each window has its own state, and the files are in the folder of the result."""
     sidecar = world / "the run.toml"
     sidecar.write_text(sidecar.read_text() + "\n[initial]\nfirst_row = true\nfree = true\n")
     fitted(capsys, "--window", "2", "--no-suspects")

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full or of few characters, names that are no text, signals."""
+"""Closed, full or limited standard streams, names that are not text, and signals."""
 
 import contextlib
 import json
@@ -27,7 +27,7 @@ FIT = "fit --data run.csv --no-figures --no-suspects"
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where a run of a muscle is, and where the commands are given."""
+    """Return the current folder, which contains a run of a muscle."""
     monkeypatch.chdir(tmp_path)
     for name in ("run.csv", "run.toml"):
         shutil.copy(MUSCLE / name, tmp_path)
@@ -35,7 +35,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def shell(line, **variables):
-    """Exit status, output and errors of a line of bash, in which `giajax` is the command."""
+    """Return exit status, output and errors of a bash line in which `giajax` is the command."""
     line = f'set -o pipefail; giajax() {{ {GIAJAX} "$@"; }}; {line}'
     ended = subprocess.run(
         ["bash", "-c", line], capture_output=True, check=False, env={**os.environ, **variables}
@@ -60,7 +60,7 @@ LOST = (
         (">&- 2>&- <&-", (0, "", "")),
         (">/dev/full", (4, "", LOST)),
         (">/dev/full 2>/dev/full", (4, "", "")),
-        ("| true", (141, None, "")),  # gone before there is a line, which head may not be
+        ("| true", (141, None, "")),  # the reader ends before any line; with head, it may not
         ("2>&1 >/dev/full | head -1", (4, LOST, "")),
     ],
 )
@@ -70,7 +70,7 @@ def test_output_that_nobody_takes(folder, streams, ends):
     assert given[0] == status
     assert out is None or given[1] == out
     assert given[2] == err
-    # What is written is written all the same.
+    # The file is written nevertheless.
     (folder / "run.toml").unlink()
     assert shell(f"giajax init --data run.csv {streams}")[0] in (status, 0)
     assert "[noise]" in (folder / "run.toml").read_text()
@@ -102,7 +102,7 @@ REOPENED = (
 
 
 def test_streams_that_were_closed_are_as_others(folder):
-    """Of all characters, and those of other programs that are begun."""
+    """They accept all characters, and so do those of child processes."""
     line = 'exec "$0" -c "$1" >&- <&-'
     words = ["bash", "-c", line, sys.executable, REOPENED]
     ended = subprocess.run(words, capture_output=True, check=False)
@@ -118,7 +118,7 @@ def test_a_name_that_is_not_utf_8_is_refused(folder):
         assert (status, out) == (2, "")
         assert r"\udcfc" in err
         assert "is not UTF-8" in err
-    with pytest.raises(InputError, match="is not UTF-8"):  # nor by two halves of a character
+    with pytest.raises(InputError, match="is not UTF-8"):  # nor a character split in two
         check_path(os.fsdecode(b"\xc3/\xbc"))
     assert sorted(os.listdir(b".")) == before
 
@@ -176,7 +176,7 @@ def test_who_hangs_up_has_the_best_so_far(folder):
     for ignored, status in ((False, 129), (True, 0)):
         shutil.rmtree("out", ignore_errors=True)
         line = f'{HANG_UP_IGNORED * ignored}exec {sys.executable} -c "$1"'
-        # These tests may be run by `nohup`, which every process that they start inherits.
+        # `nohup` may run these tests, and every child process inherits its signal setting.
         usual = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL)\n" * (not ignored)
         running = subprocess.Popen(
             ["bash", "-c", line, "bash", usual + SLOW_FIT],
@@ -193,7 +193,7 @@ def test_who_hangs_up_has_the_best_so_far(folder):
 
 
 def full_after(room, monkeypatch):
-    """A disk that takes so many files of `write_files`."""
+    """Let the disk accept this number of files from `write_files`."""
     written = []
 
     def replace(part, path, replace=os.replace):
@@ -209,7 +209,7 @@ def full_after(room, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("room", [0, 1, 3, 4, 6, 8])
 def test_a_disk_that_is_full_after_the_result(folder, capsys, monkeypatch, room):
-    """It has the result alone, with its prediction, with its suspects, with some pictures."""
+    """The disk has room for the result only, for the prediction, the suspects, or some figures."""
     full_after(room, monkeypatch)
     status = main(["fit", "--data", "run.csv", "--out", "out", "--self-test", "--report"])
     out, err = capsys.readouterr()
@@ -236,7 +236,7 @@ PAD = "time_s,axis0,axis1\n0,0,-1\n300,0.5,0.5\n301,0,0\n"
 
 @pytest.mark.slow
 def test_a_drive_that_is_killed_is_there(folder):
-    """All but its last second, as a run of its own; one that ends leaves nothing of it."""
+    """All but the last second is a run; a drive that ends normally leaves no such file."""
     (folder / "arm.toml").write_text('[arm]\npreset = "takeichi_20m"\nlinks = 3\n')
     (folder / "pad.csv").write_text(PAD)
     code = (
@@ -257,7 +257,7 @@ def test_a_drive_that_is_killed_is_there(folder):
     running.kill()
     running.wait()
     run = read_run(part)
-    # 30 rows a second, at most, of which those of the last second may be lost.
+    # At most 30 rows per second; those of the last second may be lost.
     assert len(run.times) >= rows + 0.5 * 30 * (time.monotonic() - began - 1.0)
     assert run.values["joint01_command"].max() > 0
     assert run.definition.contents()["arm"]["links"] == 3

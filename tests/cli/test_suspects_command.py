@@ -1,4 +1,4 @@
-"""`giajax suspects`: a stored fit is asked, by its files, in tables and as JSON."""
+"""`giajax suspects`: omitted effects of a stored fit, as tables and as JSON."""
 
 import json
 import shutil
@@ -11,14 +11,14 @@ from giajax import load_result
 from giajax.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
-# The truth has an end correction of 1.7, and here it is held at another value.
+# The true end correction is 1.7, but it is held at another value.
 WRONG = ["--fix", "muscle.end_correction=1.5"]
 HELD_OUT = ["--validation", str(ROOT / "data" / "synthetic" / "muscle.csv")]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A fit with a held number that is wrong, beside a copy of its run."""
+    """A fit with a wrong fixed value, next to a copy of its run."""
     folder = tmp_path_factory.mktemp("suspects")
     for name in ("muscle.csv", "muscle.toml"):
         shutil.copy(ROOT / "data" / "synthetic" / name, folder / name)
@@ -61,7 +61,7 @@ def test_json_and_a_result_with_its_suspects(folder, capsys):
     assert stored.suspects[0].p_value == first["p_value"]
     assert stored.systematic[0].path in {item["path"] for item in facts["systematic"]}
     assert load_result(folder / "fit").suspects == ()
-    # A value of --out that ends in .json is the file, as long as old forms work.
+    # A value of --out that ends in .json is a file while old forms are supported.
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(folder / "old.json")]) == 0
     again = capsys.readouterr()
     assert again.out == printed.out
@@ -69,7 +69,7 @@ def test_json_and_a_result_with_its_suspects(folder, capsys):
         "note: giajax suspects --out FILE.json is now giajax suspects --out"
     )
     assert (folder / "old.json").read_bytes() == (out / "suspects.json").read_bytes()
-    # Nothing is written over.
+    # No file is overwritten.
     assert main(["suspects", str(folder / "fit"), "--json", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
 
@@ -131,7 +131,7 @@ def test_a_fit_states_an_uncertainty(folder, tmp_path, capsys):
     stated = ["--uncertainty", "muscle.diameter=1e-5", "--no-figures", "--json"]
     assert main([*run, *stated]) == 0
     record = json.loads(capsys.readouterr().out)
-    # The model is inadequate, so that the fit asks by itself what it leaves out.
+    # The model is inadequate, so the fit tests for omitted effects automatically.
     assert record["verdict"]["status"] == "inadequate"
     assert record["suspects"][0]["path"] == "muscle.end_correction"
     assert record["systematic"][0]["path"] == "muscle.diameter"
@@ -150,7 +150,7 @@ def test_a_fit_whose_residuals_show_nothing_is_doubtful_by_what_it_held(folder, 
     assert "doubtful: " in line
     assert "muscle.end_correction" in line
     assert load_result(tmp_path / "fit").verdict.status == "doubtful"
-    # It is not tested, and says nothing of that.
+    # The effects are not tested, and the output does not mention them.
     assert main([*run, "--strict", "--no-suspects", "--quiet"]) == 0
     assert load_result(tmp_path / "fit").verdict.status == "adequate"
 

@@ -1,4 +1,4 @@
-"""`giajax synth`: a run recorded again, with errors, or one sentence."""
+"""`giajax synth`: a run recorded again with errors, or one error message."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,14 @@ def test_a_run_is_recorded_again(run, tmp_path):
     assert new.noise("link02_z") == pytest.approx(0.01)
     heights = new.values["link02_z"]
     assert 3 <= np.isnan(heights).sum() <= 6
-    # Below the camera's origin by a metre.
+    # One metre below the origin of the camera.
     assert np.nanmedian(heights[:5]) == pytest.approx(-1.0, abs=0.05)
     assert main(["check", "--data", str(out)]) == 0
 
 
 @pytest.mark.slow
 def test_a_file_that_states_a_model_is_true(run, tmp_path):
-    """As for `giajax predict`: --model takes a fit, or the TOML file of a model."""
+    """As in `giajax predict`, --model takes a fit or the TOML file of a model."""
     arm = tmp_path / "long.toml"
     arm.write_text("[arm]\nlinks = 2\nlink_length_m = 2.0\n")
     out = tmp_path / "new.csv"

@@ -1,4 +1,4 @@
-"""`giajax unroll`: a table, files and a picture of an unrolling."""
+"""`giajax unroll`: the table, files and figure of an unrolling."""
 
 import csv
 import json
@@ -74,7 +74,7 @@ def test_options_change_what_is_printed(tmp_path, capsys):
     assert main([*command, "--json", "--by-gas"]) == 0
     assert json.loads(capsys.readouterr().out)["unrolling"]["order"] == "by gas"
     assert main([*command, "--set", "links.mass=1"]) == 0
-    assert "the lift does not carry the arm" in capsys.readouterr().out
+    assert "the lift is too small to carry the arm" in capsys.readouterr().out
 
 
 def test_what_is_too_weak_is_said(tmp_path, capsys):
@@ -100,7 +100,7 @@ BAD = {
     "no yes": ("carried = 1", "must be true or false"),
     "a small roll": (
         "roll_radius_mm = 40.0",
-        "the radius of the roll is 40 mm, and the radius of its core",
+        "the radius of the roll is 40 mm, but its core has a radius",
     ),
     "thick film": (
         "film_thickness_mm = 2.0",
@@ -125,7 +125,7 @@ def test_bad_options_are_one_sentence(tmp_path, capsys):
     refused(
         capsys,
         ["--by-gas", "--set", "supply.flow=0"],
-        "the arm is set to unroll by gas, but with supply",
+        "the arm is set to unroll by gas, but no gas flows with supply",
     )
     (tmp_path / "file").write_text("")
     refused(capsys, ["--out", tmp_path / "file"], "is a file")

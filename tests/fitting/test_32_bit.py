@@ -1,4 +1,4 @@
-"""A fit in 32-bit, in a process of its own: warned once, near the truth, and no nonsense."""
+"""A fit in 32-bit arithmetic, in a separate process: one warning, and estimates near the truth."""
 
 import json
 import subprocess

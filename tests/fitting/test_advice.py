@@ -1,4 +1,4 @@
-"""What a fit that goes wrong says, and what it must not say."""
+"""Messages of a fit that goes wrong, and messages that it must not print."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ from toy_model import TRUTH, Decay, run
 
 
 class Signed(Decay):
-    """With a height of either sign, which may be nothing at the start."""
+    """A decay whose height may be negative, or zero initially."""
 
     height: Scalar = parameter(0.0, unit="m", doc="added to the amplitude", frozen=False)
 
@@ -24,7 +24,7 @@ class Signed(Decay):
 
 
 def changed(change, **about):
-    """The recording with some cells of it changed."""
+    """Return the recording with some cells changed."""
     recorded = run(**about)
     values = np.array(recorded.values["tip_z"])
     change(values)
@@ -32,7 +32,7 @@ def changed(change, **about):
 
 
 def test_what_does_not_respond_at_the_start_is_asked_again_where_the_fit_ends():
-    """Without a height there is no decay; with one there is."""
+    """Without a height, the decay has no effect; with one, it has."""
     result = fit(Signed(), run(), free=["height", "decay", "offset"],
                  start={"decay": 1.5}, noise_model="white")  # fmt: skip
     assert result.parameters["height"].value == pytest.approx(TRUTH["amplitude"], abs=0.05)
@@ -82,7 +82,7 @@ def test_a_fit_that_is_on_its_way_may_have_more_iterations():
 
 
 def test_a_fit_without_an_optimum_says_nothing_of_bounds():
-    """The best offset is below zero, and the fit ends on its way there."""
+    """The best offset is negative, and the fit ends before it gets there."""
     bounds = {"offset": (0.35, 5.0)}
     whole = fit(Decay(), run(), bounds=bounds, start={"offset": 0.4})
     assert "at_a_bound" in {each.code for each in whole.findings}

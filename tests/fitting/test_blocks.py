@@ -1,4 +1,4 @@
-"""Parameters of single runs: the Jacobian in blocks is the whole one, and costs what it must."""
+"""Parameters of single runs: the Jacobian in blocks equals the whole one, at the expected cost."""
 
 import dataclasses
 import re
@@ -40,7 +40,7 @@ class Inputs(eqx.Module):
 
 
 class OwnHeights(AbstractModel):
-    """tip_z = height exp(-decay t) + drift . (t, t^2), with height and drift of each run alone."""
+    """tip_z = height exp(-decay t) + drift . (t, t^2); height and drift belong to each run."""
 
     kind: ClassVar[str] = "heights"
 
@@ -91,7 +91,7 @@ def problem_of(runs, loss="linear"):
 
 
 def bends(problem, row):
-    """The ratio of curvatures of each row; how far a model is off is told in each run."""
+    """Return the curvature ratio of each row, computed for each run separately."""
     priors = np.ones(len(problem.priors.columns))
     if problem.loss.is_linear:
         return np.ones(len(row))
@@ -100,7 +100,7 @@ def bends(problem, row):
         for weight in np.asarray(batch.weight):
             part = row[first : first + weight.size]
             measured = (weight.ravel() > 0).astype(float)
-            # t^2 of huber is 2 |r| - 1 beyond 1.
+            # For |r| > 1, Huber's t^2 is 2 |r| - 1.
             r = jnp.where(part**2 > 1, jnp.sign(part) * (part**2 + 1) / 2, part)
             ratios.append(np.asarray(problem.loss.curvature_ratio(r, measured)))
             first += weight.size
@@ -119,7 +119,7 @@ def test_blocks_are_the_whole_jacobian(loss):
     residuals = jax.jit(lambda z: residual(z, problem)[0])
     whole = np.asarray(jax.jit(jax.jacfwd(residuals))(coordinate))
     assert_allclose(row, residuals(coordinate), rtol=1e-13)
-    # The triangle has the curvature of the loss, with the gradient of the cost as it is.
+    # The triangular factor includes the curvature of the loss. The gradient is that of the cost.
     bent = whole * bends(problem, np.asarray(row))[:, None]
     assert_allclose(factor.T @ factor, bent.T @ bent, rtol=1e-10, atol=1e-8)
     assert_allclose(factor.T @ projected, whole.T @ row, rtol=1e-10, atol=1e-8)
@@ -137,12 +137,12 @@ def test_blocks_are_the_whole_jacobian(loss):
 
 
 def test_no_run_is_differentiated_by_the_parameters_of_another():
-    """Blocks are as wide as a run's own and the shared parameters, however many runs there are."""
+    """A block is as wide as the shared parameters and those of one run, for any number of runs."""
     problem, coordinate = problem_of([recording(index)[0] for index in range(12)])
     assert problem.size == 1 + 12 * 3
     _, blocks, *_ = jax.eval_shape(linearise, coordinate, problem)
     assert [block.shape for block in blocks] == [(12, 40, 4), (0,)]
-    # Nothing in the whole program has the rows of all runs and the columns of all parameters.
+    # No array in the program has the rows of all runs and the columns of all parameters.
     program = str(jax.make_jaxpr(linearise)(coordinate, problem))
     shapes = [
         tuple(map(int, shape.split(","))) for shape in re.findall(r"f64\[([\d,]+)\]", program)
@@ -181,7 +181,7 @@ def test_a_run_alone_may_be_all_that_is_fitted():
 
 @pytest.mark.slow
 def test_the_first_state_of_a_pendulum_is_found():
-    """Angles with noise; the fit starts from a first row that is off by it, and without rates."""
+    """The noisy angles give an initial guess from the first row, without rates."""
     arm = pendulum(2, parameters={"joints.damping": 0.05})
     times = np.linspace(0.0, 2.0, 81)
     angle, rate = np.deg2rad([40.0, -25.0]), np.deg2rad([30.0, 80.0])

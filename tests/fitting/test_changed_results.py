@@ -1,4 +1,4 @@
-"""A stored result that somebody changed: a model that can be built, or one sentence."""
+"""A stored result that a user edited: a model that can be built, or one error message."""
 
 import json
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Slow valleys: pendulums whose fits converge from any start, as small or as large as it may be.
+"""Slow valleys: pendulums whose fits converge from very small and very large initial guesses.
 
-Two parameters are all but one in each: damping and drag of a bob, damping and Coulomb friction,
-inertia and centre of mass. The records are by scipy. Starts as large as 0.1 swing out of step, or
-not at all; of starts as small as 1e-8 a logarithm bends the valley.
+In each case, two parameters are nearly confounded: damping and drag of a bob, damping and Coulomb
+friction, or inertia and centre of mass. scipy simulates the records. Initial guesses of 0.1 swing
+out of phase or not at all. For initial guesses of 1e-8, a logarithm bends the valley.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ drag_area_m2 = 0.0005
 
 
 def swing(inertia, moment, damping=0.0, quadratic=0.0, friction=0.0, rate=1.0, seconds=20.0):
-    """Times, and angles (deg) of a pendulum let go at 40 deg, with noise."""
+    """Return times and noisy angles (deg) of a pendulum that is released at 40 deg."""
 
     def motion(_, state):
         angle, speed = state
@@ -71,7 +71,7 @@ def recorded(folder, times, angles, **stated):
 
 
 def of_drag(folder):
-    """A bob of 15 g: its damping, how far out it is, and its drag."""
+    """A bob of 15 g: its damping, its distance from the joint, and its drag."""
     mass, out, drag = 0.015, 0.3323, 4e-4
     truth = {
         "joints.damping": 2.75e-5,
@@ -91,7 +91,7 @@ def of_drag(folder):
 
 
 def of_friction(folder):
-    """A bar that is damped by two laws."""
+    """A bar with two laws of damping."""
     truth = {"joints.damping": 4e-4, "joints.friction": 1e-3}
     motion = swing(0.2 * 0.3**2 + 2e-3, 0.06, damping=4e-4, friction=1e-3, rate=0.01)
     stated = {"mass": 0.2, "centre": 0.3, "inertia": 2e-3, "bodies": ""}
@@ -100,7 +100,7 @@ def of_friction(folder):
 
 
 def of_inertia(folder):
-    """A bar of known damping: its inertia, and where its centre of mass is."""
+    """A bar with known damping: its inertia and the position of its centre of mass."""
     truth = {"links.inertia_transverse": 2e-3, "links.centre_of_mass": 0.3}
     motion = swing(0.2 * 0.3**2 + 2e-3, 0.06, damping=2e-3)
     stated = {"mass": 0.2, "centre": 0.25, "inertia": 2e-3, "bodies": ""}
@@ -113,7 +113,7 @@ VALLEYS = {"drag": of_drag, "friction": of_friction, "inertia": of_inertia}
 
 
 def converges(folder, valley, starts):
-    """Each fit within 45 iterations, to what made the record."""
+    """Check that each fit converges to the true values within 45 iterations."""
     run, truth, known, path = VALLEYS[valley](folder)
     model = giajax.model_for([run])
     for start in starts:
@@ -130,7 +130,7 @@ def converges(folder, valley, starts):
         assert result.status == "converged", (start, result.message)
         assert result.iterations <= 45, start
         for name, value in truth.items():
-            # Three to six per cent is what this noise makes of it, from every start.
+            # With this noise, estimates from every initial guess have errors of 3 to 6 %.
             found = result.parameters[name].value
             np.testing.assert_allclose(np.ravel(found), value, rtol=0.1, err_msg=f"{start} {name}")
 
@@ -186,7 +186,7 @@ def test_rows_that_do_not_count_are_counted_where_a_fit_ends_early(tmp_path):
 
 
 def parts_of(run, truth, known, **asked):
-    """The parts of the rows that counted in a fit from far off."""
+    """Return the fractions of the rows that were used in a fit from a distant initial guess."""
     journal = Kept()
     setup = set_up(
         giajax.model_for([run]), [run], free=list(truth), fix=known, nuisances=False,
@@ -213,7 +213,7 @@ def test_what_is_driven_has_outliers_or_does_not_swing_begins_with_all_rows(tmp_
     assert parts_of(driven, truth, stiff) == {1.0}
 
 
-# Twenty starts in one valley; of each, one from either end is in the test above.
+# Twenty initial guesses in one valley. The test above uses one from each end.
 LONG = ("drag", "friction")
 ANY = [
     pytest.param(valley, marks=pytest.mark.long if valley in LONG else pytest.mark.slow)

@@ -1,4 +1,4 @@
-"""What the data cannot tell, against models of which it is known."""
+"""Parameters that the data cannot determine, for models in which these are known."""
 
 import re
 from dataclasses import replace
@@ -37,7 +37,7 @@ def test_a_good_fit_has_none():
 
 
 def test_outliers_of_a_window_are_named_by_time():
-    """Its rows are not counted from the first one of the file."""
+    """The rows of a window are not counted from the first row of the file."""
     whole = run(samples=200)
     values = whole.values["tip_z"].copy()
     values[[70, 150]] += 1.0
@@ -56,7 +56,7 @@ def test_what_has_no_response_is_named():
 
 
 def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise():
-    """No prior is advised where the noise that a fit estimates is what its model lacks."""
+    """A prior is not advised if the estimated noise is due to missing physics."""
     recorded = run(samples=200, state_noise=False)
     waves = 2 * np.sin(3 * recorded.times) + np.random.default_rng(0).normal(scale=0.01, size=200)
     wrong = replace(recorded, values={"tip_z": waves})
@@ -74,7 +74,7 @@ def test_a_model_that_describes_nothing_is_asked_first_whatever_passes_for_noise
 
 
 def test_where_most_cells_are_far_off_they_are_no_outliers():
-    """A loss that lets outliers stand does not let a whole recording stand."""
+    """A loss that tolerates outliers must not tolerate a whole recording."""
     recorded = run(samples=200)
     waves = 2 * np.sin(3 * recorded.times) + np.random.default_rng(0).normal(scale=0.01, size=200)
     free = ["amplitude", "decay", "offset", "idle"]
@@ -93,7 +93,7 @@ def test_of_columns_without_any_response_each_is_a_group():
 
 
 def test_a_product_is_named_with_its_error():
-    """amplitude twin, as exact as the amplitude where the twin is held."""
+    """amplitude twin is as accurate as the amplitude in a fit that holds the twin."""
     result = fit(Decay(), run(), free=["amplitude", "decay", "offset", "twin"], start={"twin": 1.4})
     alone = fit(Decay(), run()).parameters["amplitude"]
     finding = coded(result)["only_combinations"]
@@ -105,9 +105,9 @@ def test_a_product_is_named_with_its_error():
 
 
 def test_the_error_of_a_combination_of_powers_is_that_of_the_fit():
-    """A direction in which three positive parameters move by other powers, and one by a sum."""
+    """A direction of three positive parameters with different powers, and one of a sum."""
     logs = np.random.default_rng(3).normal(size=(60, 2))
-    # What shows is p^2 / q and r q: the direction is (1, 2, -2) in logarithms.
+    # The identifiable combinations are p^2 / q and r q: (1, 2, -2) in logarithms is not observable.
     values = np.array([2.0, 3.0, 5.0])
     design = logs @ np.array([[2.0, -1.0, 0.0], [0.0, 1.0, 1.0]])
     known = _statistics(design / values, values)
@@ -120,7 +120,7 @@ def test_the_error_of_a_combination_of_powers_is_that_of_the_fit():
     assert parts[1].standard_error == pytest.approx(15.0 * np.sqrt(covariance[1, 1]))
     assert parts[0].value == pytest.approx(2 / np.sqrt(3))
     assert parts[0].standard_error == pytest.approx(2 / np.sqrt(3) / 2 * np.sqrt(covariance[0, 0]))
-    # As sums: what shows of p0 and p1 alone is p0 + 2 p1.
+    # As a sum: of p0 and p1, only p0 + 2 p1 is identifiable.
     line = np.outer(np.arange(60.0), [1.0, 2.0, 0.0]) + np.outer(np.ones(60), [0.0, 0.0, 1.0])
     ((members, parts),) = combinations(_statistics(line, values), [True, False, True], [False] * 3)
     assert members == (0, 1)
@@ -162,7 +162,7 @@ def test_pairs_and_priors_are_named():
 
 
 def test_the_one_sided_interval_is_where_the_cost_says():
-    """Bounds just below the best decay, against scipy with the decay held."""
+    """Bounds just below the best decay, compared with scipy for fixed decays."""
     recorded = run()
     bounds = {"decay": (0.2, 0.7)}
     result = fit(Decay(), recorded, start={"decay": 0.5}, bounds=bounds, noise_model="white")
@@ -178,14 +178,14 @@ def test_the_one_sided_interval_is_where_the_cost_says():
 
     reach = brentq(lambda decay: cost(decay) - cost(0.7) - 1.645**2 / 2, 0.6, 0.7)
     shown = re.search(
-        r"upper bound 0.7; its value is at least ([\d.]+) \(one-sided", finding.sentence
+        r"upper bound 0.7, and its value is at least ([\d.]+) \(one-sided", finding.sentence
     )
     assert float(shown[1]) == pytest.approx(reach, abs=6e-4)
     assert 0.68 < reach < 0.7
 
 
 def test_curvature_is_that_of_the_cost():
-    """The two sides of the profile of the cost, which is linear in all but the decay."""
+    """Compare with both sides of the cost profile; the model is linear except in the decay."""
     recorded = run(sigma=0.8)
     start = {"amplitude": 1.5, "decay": 0.9}
     result = fit(Decay(), recorded, start=start, noise_model="white")
@@ -204,7 +204,7 @@ def test_curvature_is_that_of_the_cost():
     sides = [cost(best + sign * step * error) - cost(best) for sign in (1, -1)]
     skew = (sides[0] - sides[1]) / (sides[0] + sides[1]) / step
     shown = re.search(r"two sides differ by ([-+]\d+)%", finding.sentence)
-    # The third derivative of the residuals, which is left out, counts where noise is large.
+    # The third derivative of the residuals is neglected, which matters for large noise.
     assert float(shown[1]) / 100 == pytest.approx(skew, abs=0.15)
     assert skew < -0.25
 
@@ -216,7 +216,7 @@ def test_short_records_are_named():
 
 
 def test_states_of_single_runs_take_part():
-    """A decay that is hardly there makes height and drift of a run the same."""
+    """With a decay near zero, height and drift of a run have the same effect."""
     runs = [recording(index)[0] for index in (0, 1)]
     assert not {"no_response", "only_combinations"} & set(coded(fit(OwnHeights(), runs)))
 
@@ -233,7 +233,7 @@ def test_every_finding_has_its_section_and_ends_with_advice():
 
 @pytest.mark.slow
 def test_a_pendulum_shows_ratios_and_no_mass():
-    """Mass, inertia and damping from angles alone, in gravity: none has an interval."""
+    """With angles alone, in gravity, mass, inertia and damping have no intervals."""
     about = {"arm": {"preset": "pendulum", "links": 1}, "initial": {"angle_deg": 40.0}}
     truth = ArmModel(pendulum(1, parameters={"joints.damping": 0.05}))
     times = np.linspace(0.0, 6.0, 121)
@@ -258,7 +258,7 @@ def test_a_pendulum_shows_ratios_and_no_mass():
 
 
 def test_joints_that_do_not_answer_their_commands_make_a_fit_doubtful():
-    """The stiffness of a drive that does nothing is 0, and the residuals are those of noise."""
+    """The estimated stiffness of a drive without effect is 0, and the residuals are white noise."""
     channels = ("link02_y", "link04_y", "link04_z")
     moved = Run.from_arrays(
         TIMES,
@@ -277,7 +277,7 @@ def test_joints_that_do_not_answer_their_commands_make_a_fit_doubtful():
     assert result.verdict.status == "doubtful"
     assert result.verdict.reasons[0].code == "vanished"
     assert "which is 0 within its error" in result.headline
-    # From where it ended, too, as the best of several starts is fitted again.
+    # This also holds for a fit that starts at the optimum, as after several initial guesses.
     again = fit(
         model_for([told]),
         told,
@@ -286,7 +286,7 @@ def test_joints_that_do_not_answer_their_commands_make_a_fit_doubtful():
         check=False,
     )
     assert again.verdict.reasons[0].code == "vanished"
-    # The parameter that it is, and none that may well be 0.
+    # Only this parameter is named, not one that may well be 0.
     free = ["joints.yaw_stiffness", "joints.damping"]
     right = {**START, "joints.pitch_stiffness": 2.5, "air.drag_coefficient": 1.1}
     undamped = _parameters.replace(model, {"joints.damping": 0.0})

@@ -1,4 +1,4 @@
-"""The fit of any model: recovery, honesty, masks, weights, several runs."""
+"""Fits of any model: recovery of true values, honest errors, masks, weights, several runs."""
 
 import dataclasses
 import json
@@ -34,7 +34,7 @@ def test_the_truth_is_recovered_with_honest_errors():
     assert result.conditions == ("about amplitude", "about decay", "about offset")
     assert result.gradient_check.relative_difference < 1e-7
     assert [entry.number for entry in result.history] == list(range(result.iterations + 1))
-    # Keys of studies are made of the text of a result, where 0 is not 0.0.
+    # Studies derive keys from the text of a result, in which 0 and 0.0 differ.
     bounds = [b for e in result.parameters.values() for b in (e.lower, e.upper) if b is not None]
     assert bounds
     assert all(type(bound) is float for bound in bounds)
@@ -52,7 +52,7 @@ def test_noise_that_nobody_stated_is_estimated():
 
 
 def test_residuals_beyond_the_stated_noise_widen_the_errors():
-    """Ten times the stated noise: the claim is scaled, and said."""
+    """At ten times the stated noise, the covariance is scaled and this is reported."""
     recording = run(sigma=0.1, samples=200)
     lying = Run.from_arrays(
         recording.times,
@@ -106,7 +106,7 @@ def test_several_runs_of_several_lengths_are_one_fit():
     alone = [fit(Decay(), one).parameters["decay"] for one in runs]
     weights = np.array([1 / one.standard_error**2 for one in alone])
     mean = np.sum(weights * [one.value for one in alone]) / weights.sum()
-    # One parameter of a joint fit is not quite the weighted mean, but within a fraction of it.
+    # The estimate of the joint fit differs from the weighted mean by a small fraction of its error.
     joint = together.parameters["decay"]
     assert joint.standard_error == pytest.approx(weights.sum() ** -0.5, rel=0.1)
     assert abs(joint.value - mean) < joint.standard_error
@@ -147,7 +147,7 @@ def test_parameters_that_only_count_together_have_no_error_of_their_own():
 
 
 def test_a_parameter_driven_against_its_bound_comes_back():
-    """From here the first steps want no decay at all; the optimum is at 0.7."""
+    """The first steps from this initial guess lead to a decay of zero; the optimum is at 0.7."""
     start = {"amplitude": 40.0, "decay": 1e-9, "offset": 5.0}
     result = fit(Decay(), run(), start=start)
     assert result.status == "converged"
@@ -156,14 +156,14 @@ def test_a_parameter_driven_against_its_bound_comes_back():
 
 @pytest.mark.parametrize("decay", [1e-10, 8 - 1e-9])
 def test_a_start_at_a_bound_is_not_dead(decay):
-    """There the slope of the coordinate vanishes, not the response to the parameter."""
+    """At a bound, the slope of the coordinate vanishes, but the data depend on the parameter."""
     result = fit(Decay(), run(), start={"decay": decay})
     assert result.status == "converged"
     assert result.parameters["decay"].value == pytest.approx(0.7, rel=0.05)
 
 
 def test_an_optimum_at_a_bound_has_an_error_and_says_so():
-    """The truth rises where the model can only fall: no decay is the best it can do."""
+    """The data rise but the model can only fall, so zero decay is the best fit."""
     times = np.linspace(0.0, 4.0, 60)
     rising = 2.0 + 0.002 * times + np.random.default_rng(0).normal(scale=0.01, size=60)
     recording = Run.from_arrays(
@@ -177,7 +177,7 @@ def test_an_optimum_at_a_bound_has_an_error_and_says_so():
     assert result.status == "converged"
     assert result.iterations <= 20
     assert "at its lower bound" in decay.remark
-    # The error of the rate in the linear model 2 - 2 decay t, both coefficients free.
+    # Error of the rate in the linear model 2 - 2 decay t with two free coefficients.
     design = np.stack([np.ones(60), -2 * times], axis=1) / 0.01
     expected = np.sqrt(np.linalg.inv(design.T @ design)[1, 1])
     assert decay.standard_error == pytest.approx(expected, rel=0.2)
@@ -185,7 +185,7 @@ def test_an_optimum_at_a_bound_has_an_error_and_says_so():
 
 
 class Rough(Decay):
-    """Predictions with the rounding of a simulation, which no derivative sees."""
+    """Predictions with rounding errors as in a simulation, which derivatives do not include."""
 
     def predict(self, inputs, channels):
         predicted, fine = super().predict(inputs, channels)
@@ -197,7 +197,7 @@ class Rough(Decay):
 
 
 def test_a_parameter_at_its_bound_takes_no_part_in_the_gradient_check():
-    """Its coordinate is flat there: weighed like the others it would leave them no step."""
+    """Its coordinate is flat there, so an equal weight would leave no step for the others."""
     times = np.linspace(0.0, 4.0, 60)
     rising = 2.0 + 0.002 * times + np.random.default_rng(0).normal(scale=0.01, size=60)
     recording = Run.from_arrays(
@@ -220,7 +220,7 @@ def test_a_gradient_check_sees_a_wrong_derivative():
 
 
 class Misled(Decay):
-    """Its derivative by the decay is half of what it is."""
+    """The derivative with respect to the decay is half of its correct value."""
 
     def predict(self, inputs, channels):
         slow = (self.decay + jax.lax.stop_gradient(self.decay)) / 2
@@ -229,7 +229,7 @@ class Misled(Decay):
 
 @pytest.mark.parametrize(("model", "wrong"), [(Decay, False), (Misled, True)])
 def test_of_many_rows_the_gradient_is_checked_where_it_is_known(monkeypatch, model, wrong):
-    """At the tolerance of the fit, with no further Jacobian; a wrong derivative shows as well."""
+    """The check uses the tolerance of the fit and no further Jacobian, and finds wrong slopes."""
     refined, jacobians = [], []
 
     class Integrated(model):
@@ -252,7 +252,7 @@ def test_of_many_rows_the_gradient_is_checked_where_it_is_known(monkeypatch, mod
     monkeypatch.setattr(_checks, "evaluate", counted)
     check = fit(Integrated(), run(), max_iterations=3, tolerance=1e-5).gradient_check
     assert (check.relative_difference > 0.1) == wrong
-    # The effect of the tolerance asks for a finer one, the gradient does not.
+    # The tolerance effect needs a finer tolerance, the gradient check does not.
     assert set(refined) == {0.1}
     assert not jacobians
 
@@ -393,7 +393,7 @@ def test_the_result_is_json_without_nan():
 
 
 class Counted(Decay):
-    """Counts how often it is traced, which is once for each program that is compiled."""
+    """Count how often the model is traced, once for each compiled program."""
 
     traces: ClassVar[list[str]] = []
 

@@ -1,4 +1,4 @@
-"""A value of a parameter for each run, or for each group of runs; and bounds of one fit."""
+"""A parameter value for each run or each group of runs; and bounds of one fit."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ DECAY, SIGMA = TRUTH["decay"], 0.01
 
 
 def raised(offset, seed, *, noise=2 * SIGMA):
-    """A run whose offset is another one; noise that is stated too large widens nothing."""
+    """Return a run with another offset; the stated noise is too large, so no error is scaled."""
     one = run(seed=seed)
     return type(one).from_arrays(
         one.times,
@@ -33,7 +33,7 @@ RUNS = [raised(0.0, 0), raised(0.2, 1), raised(0.0, 2)]
 
 
 def joint_fit(owners):
-    """Closed form of the linear model with one amplitude and an offset for each owner."""
+    """Solve the linear model with one amplitude and an offset per owner in closed form."""
     rows, data = [], []
     for one, owner in zip(RUNS, owners, strict=True):
         offsets = np.eye(max(owners) + 1)[owner]
@@ -141,7 +141,7 @@ def test_windows_of_a_recording_share_the_value_of_a_run():
 
 
 def test_two_recordings_of_one_name_are_refused():
-    """Two folders may hold a run.csv each; which of them a group means is not known."""
+    """Two folders may each hold a run.csv, so a group could mean either."""
     runs = [dataclasses.replace(RUNS[0], path=Path(f"{folder}/run.csv")) for folder in "ab"]
     with pytest.raises(InputError, match=r"two runs are called 'run'.*: rename one"):
         sharing(runs, ["offset"], {})
@@ -167,7 +167,7 @@ def test_a_prior_and_bounds_hold_for_each_value():
 
 
 def test_bounds_of_a_fit_hold():
-    """The truth is 0.7: the fit ends at its own bound and says so."""
+    """The true value is 0.7, so the fit ends at its own bound and reports it."""
     result = fit(Decay(), run(), start={"decay": 0.3}, bounds={"decay": (0.2, 0.6)})
     decay = result.parameters["decay"]
     assert (decay.lower, decay.upper) == (0.2, 0.6)
@@ -214,7 +214,7 @@ def test_what_cannot_be_is_refused(options, sentence):
 
 
 def test_a_fit_again_keeps_what_was_known():
-    """A refit of a tied fit by groups with a prior and bounds ends where it began."""
+    """A refit of a tied, grouped fit with a prior and bounds ends where it started."""
     options = {
         "free": ["amplitude", "decay"],
         "priors": {"decay": Prior(0.8, deviation=0.01)},
@@ -232,7 +232,7 @@ def test_a_fit_again_keeps_what_was_known():
 
 
 def test_a_prior_of_each_group_of_runs_counts_as_often_as_there_are_groups():
-    """Four values and two priors determine five parameters; without the priors they do not."""
+    """Four values and two priors determine five parameters; without the priors, they do not."""
     short = [
         dataclasses.replace(one, times=one.times[:2], values={"tip_z": one.values["tip_z"][:2]})
         for one in RUNS[:2]

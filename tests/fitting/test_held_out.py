@@ -1,4 +1,4 @@
-"""What was held out is judged where a fit ended, whatever the fit was of."""
+"""Held-out data are judged at the end of a fit, with priors, ties and parameters per run."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ SIGMA = 0.01
 
 
 def judged(runs, names, **settings):
-    """A fit of some runs without the held-out data, and judged by it."""
+    """Fit some runs without the held-out data, and judge the result by these."""
     parts = hold_out(runs, names)
     fitted = [part.fitted for part in parts if part.fitted is not None]
     settings = {"start": START, **settings}
@@ -39,7 +39,7 @@ def several(**changed):
 PRIOR = {"priors": {"offset": Prior(0.25, deviation=0.02)}}
 TIE = {"free": ["amplitude", "decay"], "ties": {"offset": "0.15 * amplitude"}}
 
-# How many runs, what of them is held out, what is fitted, and how much of it only that knows.
+# Number of runs, held-out part, fit settings, and number of parameters only the held-out data know.
 CASES = {
     "the end, with a prior": (1, "last", PRIOR, 0),
     "the end, with a tie": (1, "last:0.4", TIE, 0),
@@ -52,7 +52,7 @@ SLOW = "a run with an offset of its own"
     "case", [pytest.param(n, marks=[pytest.mark.slow] * (n == SLOW)) for n in CASES]
 )
 def test_it_is_what_chi_square_rises_by_in_a_fit_of_all(case):
-    """The model is not linear, but the noise moves it little."""
+    """The model is non-linear, but the noise is small."""
     count, name, settings, unknown = CASES[case]
     result, whole = judged(several()[:count], [name], noise_model="white", **settings)
     everything = solve(whole, check=False)
@@ -64,7 +64,7 @@ def test_it_is_what_chi_square_rises_by_in_a_fit_of_all(case):
 
 
 def bent(seed):
-    """A decay that ends sooner than the model's after two seconds."""
+    """Return a decay that ends sooner than the model's after two seconds."""
     recording = run(seed=seed, sigma=SIGMA)
     late = np.clip(recording.times - 2, 0, None)
     values = recording.values["tip_z"] - 0.05 * late**2
@@ -76,7 +76,7 @@ def test_a_model_that_is_right_only_at_first(loss):
     right, _ = judged([run(sigma=SIGMA)], ["last:0.5"], loss=loss)
     wrong, _ = judged([bent(0)], ["last:0.5"], loss=loss)
     assert right.verdict.status == "adequate"
-    # What was fitted is described well: nothing else speaks against it.
+    # The fitted data are described well, so only the held-out data speak against the model.
     assert wrong.verdict.status == "inadequate"
     assert [reason.code for reason in wrong.verdict.reasons] == ["prediction"]
     (reason,) = wrong.verdict.reasons
@@ -100,7 +100,7 @@ def test_noise_that_is_not_stated_is_that_of_neighbouring_cells():
 
 
 class Swinging(Decay):
-    """tip_z of the decay, and a tip_y that knows its amplitude alone."""
+    """A model with tip_z of the decay and tip_y, which depends only on the amplitude."""
 
     def predict(self, inputs, channels):
         rows, fine = super().predict(inputs, channels)
@@ -108,7 +108,7 @@ class Swinging(Decay):
 
 
 def test_what_only_a_held_channel_knows_is_no_error_of_prediction():
-    """Not even where the fit, which left it at its start, was far off."""
+    """This holds even if the fit left the parameter at a distant initial guess."""
     times = np.linspace(0.0, 4.0, 60)
     noise = SIGMA * np.random.default_rng(0).normal(size=(2, 60))
     values = {"tip_y": 2.0 * np.sin(times) + noise[0], "tip_z": height(times) + noise[1]}
@@ -131,7 +131,7 @@ class Inputs(eqx.Module):
 
 
 class Lifted(Decay):
-    """The decay, from a height of each run's own."""
+    """A decay whose height is offset in each run."""
 
     def free_inputs(self, run):
         return ("lift",)
@@ -145,7 +145,7 @@ class Lifted(Decay):
 
 
 def test_runs_of_one_name_keep_what_each_has_for_itself():
-    """As files of the same name in two folders do."""
+    """Two folders may contain files of the same name."""
     lifts = (0.4, -0.3)
     runs = [
         dataclasses.replace(each, name="run", values={"tip_z": each.values["tip_z"] + lift})
@@ -174,7 +174,7 @@ def test_a_perfect_description_is_no_reason():
 
 
 def test_a_model_that_fails_for_what_was_held_out():
-    """Its parameters are those of the fit; at another one of its own it cannot be evaluated."""
+    """The parameters are those of the fit, but with this decay the model cannot be evaluated."""
     runs = several()
     parts = hold_out(runs, ["run2"])
     result = solve(set_up(Decay(), runs[:2], start=START), check=False)
@@ -194,7 +194,7 @@ def test_a_fit_that_did_not_converge_is_not_judged():
     runs = [run(sigma=SIGMA), bent(1)]
     parts = hold_out(runs, ["run1"])
     result = solve(set_up(Decay(), runs[:1], start=START), check=False, max_iterations=1)
-    # Its own residuals are judged where it ended, and what it did not see is not.
+    # Its own residuals are judged where it ended; the held-out data are not judged.
     assert result.verdict.status == "inadequate"
     assert "not an optimum" in result.verdict.reasons[-1].sentence
     after = HoldOut(parts, set_up(Decay(), runs, start=START)).judge(result)

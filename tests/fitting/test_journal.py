@@ -1,4 +1,4 @@
-"""A fit goes on from any line of its journal to the same end, bit for bit; and budgets."""
+"""A fit continues from any line of its journal to the same result, bit for bit; and budgets."""
 
 import dataclasses
 import json
@@ -39,8 +39,8 @@ HEAD = {
     },
 }
 
-# What a fit meets on its way: noise to be estimated in several rounds, a bound that it is moved
-# left from, a robust loss, a parameter that is held because nothing responds to it.
+# Situations in a fit: noise estimated in several rounds, an initial guess moved off a bound, a
+# robust loss, a parameter that is held because the data do not depend on it.
 FITS = {
     "stated noise": (run(), {"start": START}),
     "estimated noise": (run(state_noise=False), {"start": START}),
@@ -51,14 +51,14 @@ FITS = {
 
 
 def numbers(result):
-    """All that a result has, apart from how long it took."""
+    """Return the content of a result without the times."""
     record = json.loads(result.to_json())
     del record["seconds"]
     return record
 
 
 def journalled(folder, setup, **options):
-    """The result of a fit that keeps a journal."""
+    """Return the result of a fit that keeps a journal."""
     journal = read_journal(folder) or Journal(folder / JOURNAL, HEAD)
     try:
         return solve(setup, journal=journal.of(1), **options)
@@ -69,7 +69,7 @@ def journalled(folder, setup, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", FITS)
 def test_from_any_line_to_the_same_end(tmp_path, case):
-    """After the first line, in the middle, and where all is written but the result."""
+    """Continue after the first line, in the middle, and after the last line without a result."""
     recorded, asked = FITS[case]
     setup = set_up(Decay(), recorded, **asked)
     plain = numbers(solve(setup, check=False))
@@ -83,13 +83,13 @@ def test_from_any_line_to_the_same_end(tmp_path, case):
         torn = whole[count][:30] if count < len(whole) else b""
         path.write_bytes(b"".join(whole[:count]) + torn)
         assert numbers(journalled(tmp_path, setup, check=False)) == plain, count
-        # And its journal has the same states as if nothing had happened.
+        # The journal contains the same states as that of an uninterrupted fit.
         again = [json.loads(line) for line in path.read_bytes().splitlines()[1:]]
         assert [line["coordinate"] for line in again] == [line["coordinate"] for line in states]
 
 
 def test_the_cases_are_what_they_say():
-    """Several rounds of noise, which the journal must have been through, and a way off a bound."""
+    """The cases include several rounds of noise estimation, and an initial guess at a bound."""
     kept = {}
     for case in ("estimated noise", "off its bound"):
         written = kept[case] = []
@@ -119,7 +119,7 @@ def test_a_journal_is_readable_after_any_byte(tmp_path):
         path.write_bytes(data[:size])
         journal = read_journal(tmp_path)
         assert (journal is not None) == (size >= first)
-        # What a disk has of a file whose length it knows and whose content it does not.
+        # After a crash, a disk may have zeros in place of the content.
         path.write_bytes(data[:size] + bytes(7))
         assert (read_journal(tmp_path) is not None) == (size >= first)
 
@@ -127,9 +127,9 @@ def test_a_journal_is_readable_after_any_byte(tmp_path):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda lines: [lines[0], b"{]", *lines[2:]], "damaged in line 2"),
-        (lambda lines: [b"[" * 100_000, *lines[1:]], "damaged in line 1"),
-        (lambda lines: [b'{"a": 1}', *lines[1:]], "damaged in line 1"),
+        (lambda lines: [lines[0], b"{]", *lines[2:]], "damaged at line 2"),
+        (lambda lines: [b"[" * 100_000, *lines[1:]], "damaged at line 1"),
+        (lambda lines: [b'{"a": 1}', *lines[1:]], "damaged at line 1"),
         (lambda lines: [lines[0].replace(b": 2", b": 1", 1), *lines[1:]], "another version"),
     ],
 )
@@ -149,7 +149,7 @@ def test_the_journal_of_another_fit_is_one_sentence(tmp_path):
 
 
 def disk_with(state):
-    """`os.write` of a disk where a file has some room, which it fills before it refuses more."""
+    """Return `os.write` for a disk with limited space, which it fills before it refuses more."""
     write = os.write
 
     def limited(descriptor, data):
@@ -163,7 +163,7 @@ def disk_with(state):
 
 @pytest.mark.parametrize("room", [0, 900, 1_500])
 def test_a_full_disk_ends_no_fit_and_loses_no_line(tmp_path, monkeypatch, room):
-    """The system takes some bytes and then no more, until somebody makes room."""
+    """The system accepts some bytes and then no more, until there is space again."""
     setup = set_up(Decay(), run(), start=START)
     plain = numbers(solve(setup))
     state = {"room": room}
@@ -220,13 +220,13 @@ def test_a_budget_ends_a_fit_with_the_best_so_far(tmp_path):
     assert result.message.startswith("the time budget of 1e-09 s was exhausted after 0 iterations")
     assert result.gradient_check is None
     assert result.config["budget_s"] == 1e-9
-    # With more time it goes on to where it would have ended.
+    # With more time, the fit continues to the same result.
     assert numbers(journalled(tmp_path, setup)) == plain
     assert fit(Decay(), run(), start=START, budget=60.0).status == "converged"
 
 
 def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
-    """Steps of 2 s by a clock of our own, and 7 s for them: three and the one that compiles."""
+    """A simulated clock: steps take 2 s, and 7 s allow three steps after the compiling one."""
     clock = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     trial = _loop.trial
@@ -244,7 +244,7 @@ def test_a_budget_ends_before_a_step_that_it_has_no_time_for(monkeypatch):
 
 @pytest.mark.parametrize("ended_at", [2, 3])
 def test_a_budget_ends_several_starts(monkeypatch, ended_at):
-    """The best of the starts so far is the result, and says that there were to be more."""
+    """The result is the best fit so far, and reports that some initial guesses are missing."""
     clock, begun = [0.0], []
     monkeypatch.setenv("GIAJAX_CORES", "1")
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
@@ -265,7 +265,7 @@ def test_a_budget_ends_several_starts(monkeypatch, ended_at):
 
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_a_start_that_the_budget_ends_is_the_last(monkeypatch, cores):
-    """Some of the budget is left, but too little for a step; no start is taken for interrupted."""
+    """The remaining budget is too short for a step, but no fit counts as interrupted."""
     limit, begun = _loop._limit, []
     monkeypatch.setenv("GIAJAX_CORES", cores)
 
@@ -304,7 +304,7 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
     path = tmp_path / JOURNAL
     whole = path.read_text().splitlines(keepends=True)
     third = next(i for i, line in enumerate(whole) if json.loads(line).get("fit") == 3)
-    # In the third start, after two steps of it; then in the check of the best.
+    # The journal ends in the third fit after two steps, then in the check of the best fit.
     fourth = next(i for i, line in enumerate(whole) if json.loads(line).get("fit") == 4)
     for count, next_one in ((third + 3, 3), (fourth + 1, 1)):
         path.write_text("".join(whole[:count]))
@@ -315,7 +315,7 @@ def test_starts_that_have_ended_are_not_run_again(tmp_path, monkeypatch):
 
 
 def test_from_any_line_of_starts_side_by_side_to_the_same_end(tmp_path, monkeypatch):
-    """Their lines stand between each other's."""
+    """The lines of parallel fits alternate."""
     setup = set_up(Decay(), run(), start=START, starts=3, seed=1)
 
     def several(cores):
@@ -349,7 +349,7 @@ def test_ctrl_c_while_the_result_is_made_keeps_the_fit(monkeypatch):
     result = fit(Decay(), run(), start=START)
     assert calls == [True, False]
     assert result.status == "interrupted"
-    assert "then interrupted before its result was checked" in result.message
+    assert "then interrupted before the result was checked" in result.message
     values = {path: estimate.value for path, estimate in result.free.items()}
     monkeypatch.undo()
     plain = fit(Decay(), run(), start=START).free
@@ -357,7 +357,7 @@ def test_ctrl_c_while_the_result_is_made_keeps_the_fit(monkeypatch):
 
 
 def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeypatch):
-    """The journal has all starts, so that the check alone is left."""
+    """The journal contains all fits, so only the check remains."""
     setup = set_up(Decay(), run(), start=START, starts=2, seed=1)
     plain = numbers(solve_from_starts(setup))
 
@@ -382,7 +382,7 @@ def test_a_signal_between_the_best_start_and_its_check_is_kept(tmp_path, monkeyp
 
 
 def test_kept_numbers_are_exact():
-    """Every float comes back as it was, by way of JSON."""
+    """JSON preserves every float exactly."""
     values = np.random.default_rng(0).normal(size=600) * 10.0 ** np.arange(-300.0, 300.0)
     assert json.loads(json.dumps(values.tolist())) == values.tolist()
 

@@ -1,4 +1,4 @@
-"""Losses: those of giajax, one of one's own, and wrong ones."""
+"""Losses: those of giajax, a user-defined one, and invalid ones."""
 
 import json
 import tomllib
@@ -29,7 +29,7 @@ LOSSES = [Linear(), Huber(), SoftL1(), StudentT(), StudentT(degrees_of_freedom=1
 
 
 def textbook(loss, r):
-    """As scipy states them, of z = r^2; and the density of t whose scale makes it normal at 0."""
+    """Return scipy's definitions in terms of z = r^2; the t density is scaled to be normal at 0."""
     z = r * r
     if isinstance(loss, StudentT):
         nu = loss.degrees_of_freedom
@@ -42,7 +42,7 @@ def textbook(loss, r):
 
 @pytest.mark.parametrize("loss", LOSSES, ids=repr)
 def test_a_loss_is_the_square_of_its_transformation_and_its_derivatives_are_its_differences(loss):
-    # At 0 and on both sides of the corner of huber, too.
+    # Include 0 and both sides of Huber's corner.
     r = np.concatenate([np.linspace(-6.0, 6.0, 241), [0.0, -0.0, 1e-9, 1 - 1e-7, 1 + 1e-7, 1e4]])
     t = np.asarray(loss.transform(jnp.asarray(r)))
     found, rho = loss.scores(r), textbook(loss, r)
@@ -82,7 +82,7 @@ def test_its_efficiency_is_that_of_quadrature(loss):
 
 @pytest.mark.parametrize("loss", LOSSES[1:], ids=repr)
 def test_far_off_a_step_is_that_of_reweighted_least_squares_and_at_the_end_that_of_newton(loss):
-    """By what the Jacobian of t is multiplied with, over a table of residuals."""
+    """Check the factors that multiply the Jacobian of t, for a table of residuals."""
     few, many = np.linspace(-3.0, 3.0, 60), np.linspace(-30.0, 30.0, 60)
     few[np.abs(few) > 0.9] *= 0.2
     few[::20] = [-8.0, 5.0, 12.0]
@@ -110,7 +110,7 @@ def test_huber_without_a_residual_inside_its_corner_still_has_an_error():
 
 @pytest.mark.parametrize("loss", LOSSES, ids=repr)
 def test_standard_errors_are_the_spread_of_repeated_fits(loss):
-    """A straight line fitted 400 times: the errors must be those that the estimates show."""
+    """A straight line fitted 400 times: the standard errors must equal the observed spread."""
     rng = np.random.default_rng(3)
     x = np.linspace(-1.0, 1.0, 80)
     design = np.stack([np.ones_like(x), x], axis=1)
@@ -131,7 +131,7 @@ def test_standard_errors_are_the_spread_of_repeated_fits(loss):
 
 @giajax.register
 class Cauchy(AbstractLoss):
-    """Cauchy's, of a width."""
+    """Cauchy loss with a given width."""
 
     width: float = 2.0
 
@@ -141,7 +141,7 @@ class Cauchy(AbstractLoss):
 
 @pytest.fixture(scope="module")
 def wild():
-    """A decay with one sample in ten half a metre off."""
+    """A decay in which one sample in ten is off by half a metre."""
     clean = run(samples=100, seed=2)
     heights = clean.observations["tip_z"].copy()
     heights[::10] += 0.5
@@ -151,7 +151,8 @@ def wild():
 
 
 def fitted(recording, loss):
-    # A step away, and 50 deviations of noise: from twice that t has an optimum of its own.
+    # One step from the optimum, or 50 noise deviations; at twice that, Student-t has a local
+    # optimum.
     start = {"amplitude": 1.5, "decay": 1.0, "offset": 0.2}
     return giajax.fit(Decay(), recording, loss=loss, start=start, noise_model="white", check=False)
 
@@ -191,19 +192,19 @@ def test_settings_state_a_loss_by_what_a_file_would():
 
 
 class Local(Cauchy):
-    """Nobody has registered it."""
+    """A loss that is not registered."""
 
 
 @giajax.register
 class Listed(Cauchy):
-    """With what no file can state."""
+    """A loss with a value that a file cannot contain."""
 
     width: object = (1.0, 2.0)
 
 
 @giajax.register
 class Named(AbstractLoss):
-    """With a parameter that files have no place for."""
+    """A loss with a parameter name that files reserve."""
 
     name: float = 2.0
 
@@ -213,7 +214,7 @@ class Named(AbstractLoss):
 
 @giajax.register
 class Powers(AbstractLoss):
-    """With a parameter that counts."""
+    """A loss with an integer parameter."""
 
     terms: int = 2
 
@@ -245,7 +246,7 @@ def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
         ({"degrees_of_freedom": 3}, "fit.loss = .* must be"),
         (Local(), "the loss Local is not registered, so a result cannot refer to it"),
         (StudentT, r"fit.loss = .*StudentT.* must be \"linear\""),
-        (Named(), "the loss Named has a parameter called 'name', which files reserve"),
+        (Named(), "the loss Named has a parameter called 'name', which is reserved in files"),
         ({"name": "student_t", "degrees_of_freedom": "3"}, "the loss student_t cannot be created"),
         (Listed(), r"the loss Listed has width = \(1.0, 2.0\), which cannot be stored in a file"),
         (
@@ -275,7 +276,10 @@ CASES = {
     "Missing": (lambda r: jnp.where(r > 9, jnp.nan, r**2), "has a value that is not finite at"),
     "Jumping": (lambda r: jnp.where(jnp.abs(r) < 3, 1, 3) * r**2, "is not the integral of its"),
     "Steep": (lambda r: r**2 + 100 * jnp.abs(r) ** 3, r"deviates from r\^2 near 0 at r = 0.001"),
-    "Halved": (lambda r: r.astype(jnp.float32) ** 2, "returns float32 for residuals of float64"),
+    "Halved": (
+        lambda r: r.astype(jnp.float32) ** 2,
+        "returns float32 for residuals of type float64",
+    ),
     "Together": (
         lambda r: jnp.log1p((r / (s := jnp.maximum(jnp.median(jnp.abs(r)), 1.0))) ** 2) * s**2,
         "depends on the other residuals at r",
@@ -294,7 +298,7 @@ def test_a_wrong_loss_is_refused_before_anything_is_fitted(name):
 
 
 def test_only_rho_is_a_losss_own():
-    """What `is_linear` or a method claims would go before what rho is."""
+    """`is_linear` and other methods follow from rho, so a loss must not override them."""
 
     class Derived(Linear):
         def rho(self, r):
@@ -311,7 +315,7 @@ def test_only_rho_is_a_losss_own():
 
 @giajax.register
 class Tukey(AbstractLoss):
-    """Tukey's, which is level beyond a width."""
+    """Tukey's loss, which is constant beyond a width."""
 
     width: float = 4.685
 
@@ -358,7 +362,7 @@ def test_each_loss_weighs_outliers_among_correlated_noise():
     values = [each.value for each in ends.values()]
     error = ends["huber"].standard_error
     assert min(np.abs(np.diff([*values, values[0]]))) > 0.01 * error
-    # Cells half a metre off hold on to huber, and hardly to t.
+    # Cells that are half a metre off affect the Huber fit, but hardly the Student-t fit.
     assert ends["huber"].value - ends["student_t"].value > 0.2 * error
 
 

@@ -1,4 +1,4 @@
-"""Fits under noise with a memory, and what their results say of it."""
+"""Fits with correlated noise, and the statements of their results."""
 
 import dataclasses
 import json
@@ -21,7 +21,7 @@ TIMES = np.linspace(0.0, 20.0, 400)
 def recording(
     seed=2, *, noise=None, white=0.03, correlated=0.04, time_s=0.5, add=0.0, times=TIMES, name="run"
 ):
-    """The truth under white noise and an AR(1)."""
+    """Simulate the true model with white noise and AR(1) noise."""
     rng = np.random.default_rng(seed)
     memory = rng.normal(size=len(times))
     decay = np.exp(-np.diff(times) / time_s)
@@ -61,7 +61,7 @@ def test_the_memory_is_measured_and_allowed_for(correlated):
 
 
 def test_a_memory_that_nobody_stated_is_no_adequate_model(correlated):
-    """It may be noise, and it may be physics: the verdict does not trust the noise model."""
+    """Correlation may be noise or missing physics, so the verdict distrusts the noise model."""
     assert correlated.status == "converged"
     assert correlated.verdict.status == "inadequate"
     assert "correlation" in {reason.code for reason in correlated.verdict.reasons}
@@ -132,12 +132,12 @@ def test_outliers_among_correlated_noise_do_not_smear():
     for path, true in TRUTH.items():
         estimate = result.parameters[path]
         assert abs(estimate.value - true) < 3.5 * estimate.standard_error
-        # An outlier costs about what a missing cell does, not the size of what it is off by.
+        # An outlier has about the effect of a missing cell, whatever its size is.
         assert estimate.standard_error < 2 * clean.parameters[path].standard_error
 
 
 def test_noise_is_one_in_all_runs_or_one_in_each():
-    """The third run does something else: by its own noise it would be switched off."""
+    """The third run deviates; with its own noise it would get almost no weight."""
     runs = [run(seed=seed, state_noise=False) for seed in range(2)]
     odd = run(seed=2, state_noise=False)
     values = odd.observations["tip_z"] + 0.3 * np.sin(5 * odd.times)
@@ -165,8 +165,8 @@ def test_a_record_of_few_correlation_times_is_a_finding():
 
 
 def test_a_trend_over_the_whole_record_makes_no_error_smaller():
-    """Noise that is stated far too large can only be taken for one that does not change."""
-    long = np.linspace(0.0, 200.0, 4000)  # beside which the decay is short
+    """Noise that is stated far too large can only be interpreted as constant over the record."""
+    long = np.linspace(0.0, 200.0, 4000)  # much longer than the decay
     cautious = recording(white=0.03, correlated=0.0, noise={"position": 0.6}, times=long)
     result = fit(Decay(), cautious, start=START)
     assert result.noise.trends == ["tip_z"]

@@ -1,4 +1,4 @@
-"""What is always uncertain of camera and arm: free, with a prior, unless somebody says not."""
+"""Nuisance parameters of camera and arm: free, with a prior, unless the user disables them."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ USUAL = ("camera.delay", "camera.clock_rate", "camera.scale", "links.diameter[0]
 
 
 def stating(run, uncertainty=None, **sections):
-    """A run whose sidecar has an [uncertainty], or none."""
+    """Return a run whose sidecar has an [uncertainty] section, or none."""
     contents = {**run.definition.contents(), **sections}
     contents.pop("uncertainty", None)
     if uncertainty is not None:
@@ -29,7 +29,7 @@ def stating(run, uncertainty=None, **sections):
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A run of which no sidecar says that its camera is exact."""
+    """Return a run whose sidecar does not declare the camera exact."""
     return stating(small_run(tmp_path_factory.mktemp("run")))
 
 
@@ -41,14 +41,14 @@ def test_what_is_usual_is_free_with_a_prior(recorded):
     setup = prepared(recorded, free=["air.drag_coefficient"])
     assert [p.path for p in setup.parameters] == ["air.drag_coefficient", *USUAL]
     assert setup.nuisances == USUAL
-    # Frames are 0.1 s apart: half of that and of 50 ms.
+    # The prior is half of the frame interval of 0.1 s plus half of 50 ms.
     assert setup.priors["camera.delay"] == Prior(0.075, deviation=0.075)
     assert setup.priors["camera.clock_rate"] == Prior(0.0, deviation=0.001)
     assert setup.priors["camera.scale"] == Prior(1.0, deviation=0.01)
     assert setup.priors["links.diameter[0]"] == Prior(0.3, deviation=0.003)
     assert [tie.path for tie in setup.ties] == ["links.diameter"]
     assert setup.config["nuisances"] == list(USUAL)
-    # Among what is free by default, too, and beside what is fixed of that.
+    # They are also added to the parameters that are free by default, if some of these are fixed.
     setup = prepared(recorded, fix={"joints.damping": 0.1})
     paths = [p.path for p in setup.parameters]
     assert set(paths) == {*TRUTH, *USUAL} - {"joints.damping"}
@@ -64,7 +64,7 @@ def test_what_somebody_says_goes_before(recorded):
         ties={"links.diameter": "links.diameter[0]"},
     )
     assert said.nuisances == ("camera.clock_rate",)
-    # A calibration that the sidecar states, and what it says of how good it is.
+    # A calibration in the sidecar, with its uncertainty.
     stated = stating(recorded, sensors={"camera_scale": 1.02})
     assert "camera.scale" not in prepared(stated).nuisances
     stated = stating(recorded, {"camera.scale": 0.001}, sensors={"camera_scale": 1.02})
@@ -79,7 +79,7 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     masses = [0.04, 0.05, 0.05, 0.06]
     run = stating(
         recorded,
-        {"defaults": False, "links": {"mass": 0.002}},  # as TOML has it without quotes
+        {"defaults": False, "links": {"mass": 0.002}},  # an unquoted dotted key in TOML
         arm={"links": LINKS, "link_mass_kg": masses, "link_diameter_m": [0.3, 0.3, 0.2, 0.1]},
     )
     setup = prepared(run)
@@ -90,7 +90,7 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     assert_allclose(get(moved, "links.mass"), np.add(masses, 0.001), rtol=1e-12)
     each = stating(run, {"defaults": False, "links.mass": [0.002, 0, 0.001, 0]})
     assert prepared(each).nuisances == ("links.mass[0]", "links.mass[2]")
-    # By default in proportion.
+    # The default is proportional to the value.
     setup = prepared(stating(run))
     moved = replace(setup.model, {"links.diameter[0]": 0.33})
     for tie in setup.ties:
@@ -102,11 +102,11 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
     ("uncertainty", "sentence"),
     [
         ({"camera.dealy": 0.1}, "camera.delay"),
-        ({"links.mass": [0.1, 0.1]}, "states 2 values for links.mass, which has 4"),
+        ({"links.mass": [0.1, 0.1]}, "gives 2 values for links.mass, which has 4"),
         ({"camera.delay": -0.1}, r"'camera.delay' must be a standard deviation"),
         ({"camera.delay": "late"}, r"'camera.delay' must be a standard deviation"),
-        ({"links.mass": 0.1, "links.mass[1]": 0.2}, "state a list for all"),
-        ({"joints.friction": 0.01}, "omits: state its value, too"),
+        ({"links.mass": 0.1, "links.mass[1]": 0.2}, "give a list for all"),
+        ({"joints.friction": 0.01}, "omits: give its value, too"),
         ({"defaults": "no"}, "must be true or false"),
     ],
 )
@@ -118,12 +118,12 @@ def test_what_is_wrong_is_refused(recorded, uncertainty, sentence):
 def test_runs_must_agree(recorded):
     one, other = (stating(recorded, {"camera.delay": size}) for size in (0.01, 0.02))
     other = dataclasses.replace(other, name="other", sha256=None)
-    with pytest.raises(InputError, match=r"different values of \[uncertainty\] for camera.delay"):
+    with pytest.raises(InputError, match=r"different values for camera.delay in \[uncertainty\]"):
         set_up(model_for([one]), [one, other])
 
 
 def test_what_is_left_out_is_expected_where_it_does_nothing(recorded):
-    """And joints of one kind by themselves, as what they scatter by."""
+    """The prior mean of an omitted effect is zero effect; similar joints scatter independently."""
     setup = prepared(stating(recorded, {"defaults": False, "base_rotation": 0.01}))
     assert setup.priors["base_rotation[1]"] == Prior(0.0, deviation=0.01)
     setup = prepared(stating(recorded, {"defaults": False, "joints.stiffness_factor": [0.1] * 4}))
@@ -164,7 +164,7 @@ def test_another_fit_begins_with_a_camera_of_its_own(recorded):
 
 
 def made(late, rate, noise=NOISE / 5):
-    """A run by a camera that is late and whose clock is slow, and says nothing of it."""
+    """Simulate a run of a delayed camera with a slow clock, which its sidecar does not mention."""
     times = np.linspace(0.0, 8.0, 161)
     ramp = np.clip(times / 0.5, 0, 1) - np.clip((times - 4) / 0.5, 0, 1)
     commands = {"joint01_command": 0.6 * ramp, "joint02_command": -0.5 * ramp}
@@ -195,7 +195,7 @@ def test_a_late_camera_moves_no_drag_coefficient():
     assert free.asked == tuple(START)
     delay = free.parameters["camera.delay"]
     assert abs(delay.value - 0.03) < 3 * delay.standard_error
-    # What is left of the error if all of them were known is that of a fit which knows them.
+    # The conditional error, given the nuisance parameters, equals that of a fit that knows them.
     known = {name.partition("[")[0]: free.parameters[name].value for name in USUAL}
     alone = fit(model, run, fix=known, nuisances=False, **options)
     for name in START:

@@ -1,4 +1,4 @@
-"""Solvers of optimistix in place of giajax's own."""
+"""Solvers of optimistix as replacements of giajax's own."""
 
 import concurrent.futures
 
@@ -21,7 +21,7 @@ START = {"amplitude": 1.4, "decay": 1.1, "offset": 0.1}
     "options",
     [
         {},
-        # Squares of its root have not its curvature: steps get shorter from one to the next alone.
+        # Squares of the root of this loss have another curvature, so convergence is linear.
         {
             "loss": "soft_l1",
             "priors": {"offset": giajax.Prior(0.25, 0.01)},
@@ -45,7 +45,7 @@ def test_it_ends_at_the_optimum_of_giajax_with_its_statistics(optimiser, options
     assert found.verdict.status == by_giajax.verdict.status
     for path, one in found.free.items():
         other = by_giajax.parameters[path]
-        # giajax's own ends within a hundredth of a standard error.
+        # giajax's own solver ends within 0.01 standard errors of the optimum.
         assert abs(one.value - other.value) < 1e-2 * other.standard_error, path
         assert one.standard_error == pytest.approx(other.standard_error, rel=1e-2)
     assert found.config["optimiser"].startswith(type(optimiser).__name__)
@@ -62,7 +62,7 @@ def test_two_optimisers_end_at_the_same_point():
 
 
 class Idle(Marquardt):
-    """Is content with where it is."""
+    """A solver that never moves."""
 
     def terminate(self, *args):
         return jnp.asarray(True), optx.RESULTS.successful
@@ -101,7 +101,7 @@ def test_rounds_of_noise_share_the_iterations():
 
 
 def test_a_failing_model_and_bounds_are_no_way_out():
-    """Beyond a decay of 8 the model fails, and its bounds end at 9; one is held on its bound."""
+    """The model fails for a decay above 8, but the bound is 9; one parameter is at its bound."""
     start = {"amplitude": 1.0, "decay": 7.9, "offset": 0.0}
     bounds = {"offset": (-0.5, 0.2)}
     by_giajax = fit(Decay(), run(), start=start, bounds=bounds, check=False)
@@ -132,7 +132,9 @@ def test_what_cannot_be_journalled_or_sent_to_workers_says_so(tmp_path):
         )  # fmt: skip
     assert not steps
     before = fit(Decay(), recording, start=START, check=False)
-    with pytest.raises(InputError, match="the result to add starts to belongs to another fit"):
+    with pytest.raises(
+        InputError, match="the result to which starts are added belongs to another fit"
+    ):
         giajax.multi_start(
             Decay(), recording, start=START, starts=3, before=before, optimiser=optimiser
         )

@@ -1,4 +1,4 @@
-"""A fit where it ended, asked again: against fits of their own."""
+"""The optimum of a fit, evaluated and refitted, compared with separate fits."""
 
 import dataclasses
 
@@ -61,7 +61,7 @@ def test_what_is_held_stays_and_the_others_follow(result, runs, optimum):
         Decay(), runs, free=["amplitude", "offset"], fix={"decay": value}, noise_model="white"
     )
     assert held.values[1] == value
-    # Both are as near to their optimum as a fit asks for.
+    # Both are as close to their optimum as the stopping criterion of a fit requires.
     for path, place in (("amplitude", 0), ("offset", 2)):
         estimate = others.parameters[path]
         assert abs(held.values[place] - estimate.value) < 0.02 * estimate.standard_error
@@ -104,7 +104,7 @@ def test_where_the_model_fails_a_refit_says_so(optimum):
 
 
 def test_correlated_noise_is_that_of_the_fit(runs):
-    """Noise with a memory, and robust weights of cells, are found again from the records."""
+    """Correlated noise and robust weights of cells are recovered from the records."""
     rng = np.random.default_rng(3)
     slow = np.zeros(60)
     for i in range(1, 60):

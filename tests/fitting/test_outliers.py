@@ -1,4 +1,4 @@
-"""Outliers of a camera: a robust loss leaves them alone, and so does the verdict."""
+"""Outliers of a camera: with a robust loss, they affect neither the estimates nor the verdict."""
 
 from pathlib import Path
 

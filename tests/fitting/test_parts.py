@@ -1,4 +1,4 @@
-"""Bijectors, noise and identifiability, each against what is known of it."""
+"""Bijectors, noise and identifiability, each compared with known results."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ def test_a_bijector_comes_back():
 
 
 def test_rounding_leads_nothing_beyond_a_bound():
-    """And the slope at the bound is that of the map."""
+    """The slope at the bound equals that of the map."""
     starts = np.linspace(0.05, 0.95, 200)
     for upper in (1.0, 9.0, 50.0, 0.3):
         bijector = Bijector.of([0.0] * 200, [upper] * 200, upper * starts)
@@ -43,9 +43,9 @@ def test_a_bijector_has_its_bounds_at_its_ends_and_increases_between_them():
     for ends, bounds in ((lower, BOUNDS.lower), (upper, BOUNDS.upper)):
         known = np.isfinite(bounds)
         values = np.asarray(BOUNDS.forward(jnp.where(known, ends, 0)))
-        # By rounding a value may be beside its bound, which `FitState.values` mends.
+        # A value may differ from its bound by rounding, which `FitState.values` corrects.
         np.testing.assert_allclose(values[known], np.asarray(bounds)[known], rtol=1e-15)
-    # A parameter that may not be negative is none by rounding either.
+    # Rounding must not make a non-negative parameter negative.
     assert BOUNDS.forward(jnp.zeros(4))[0] == 0
     slopes = jax.jacfwd(BOUNDS.forward)(jnp.asarray(BOUNDS.inverse(INSIDE)))
     np.testing.assert_allclose(np.diag(slopes), BOUNDS.slope(BOUNDS.inverse(INSIDE)), rtol=1e-12)
@@ -92,13 +92,13 @@ def test_dead_and_collinear_columns_are_named():
 
 
 def spread(residual, jacobian, **options):
-    """`uncertainty` of a dense Jacobian, for all of its columns."""
+    """Return `uncertainty` of a dense Jacobian, for all of its columns."""
     columns = np.arange(jacobian.shape[1])
     return uncertainty(residual, BlockJacobian.dense(jacobian), columns=columns, **options)
 
 
 def test_a_null_space_of_two_dimensions_leaves_the_rest_its_error():
-    """Three twins and one parameter of its own: its error is that of a fit without two twins."""
+    """Beside three twins, a parameter has the same error as in a fit without two of them."""
     rng = np.random.default_rng(5)
     twin, own = rng.normal(size=(2, 40))
     own += 0.5 * twin
@@ -120,7 +120,7 @@ def test_a_start_on_a_bound_is_moved_inside_by_a_margin():
     assert between(5.0, 5.0, INF, margin=0.5) == 5.5
     assert between(9.0, -INF, 5.0, margin=0.5) == 4.5
     assert between(-7.0, -INF, INF, margin=0.5) == -7.0
-    # Strictly inside also where nothing is asked, and of 0 by a number that has a logarithm.
+    # Without a margin, the result is still strictly inside, and away from 0 it has a logarithm.
     for lower, upper in ((0.0, INF), (5.0, INF), (-INF, 5.0), (-1.0, 1e-12), (2.0, 3.0)):
         for value in (lower, upper):
             if np.isfinite(value):

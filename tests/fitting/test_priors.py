@@ -1,4 +1,4 @@
-"""Priors as rows of the residual, against closed forms and scipy."""
+"""Priors as rows of the residual, compared with closed forms and scipy."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ SIGMA = 0.01
 
 
 def linear(noise):
-    """Design, data and the model that is linear in amplitude and offset."""
+    """Return design, data and run of a model that is linear in amplitude and offset."""
     recorded = run(sigma=SIGMA)
     design = np.stack([np.exp(-DECAY * recorded.times), np.ones(60)], axis=1)
     stated = dataclasses.replace(
@@ -35,14 +35,14 @@ def linear(noise):
 
 @pytest.mark.parametrize("noise", [2 * SIGMA, SIGMA / 3])
 def test_a_normal_prior_is_a_ridge(noise):
-    """Estimate and covariance; where the residuals exceed the noise, the prior's part does not."""
+    """Compare estimate and covariance; excess residuals do not scale the part of the prior."""
     design, data, recorded = linear(noise)
     centre, spread = np.array([1.9, 0.0]), np.array([0.02, np.inf])
     precision = np.diag(spread**-2)
     inverse = np.linalg.inv(design.T @ design + precision)
     expected = inverse @ (design.T @ data + precision @ centre)
     left = np.append(design @ expected - data, (expected[0] - 1.9) / 0.02)
-    # How far the prior is off says nothing of the noise; what is known costs no degree of freedom.
+    # The residual of the prior does not change the noise, and prior knowledge uses no freedom.
     trace = np.trace(inverse @ design.T @ design)
     reduced = np.sum(left[:-1] ** 2) / (60 - trace)
     scale = max(reduced, 1.0)
@@ -62,7 +62,7 @@ def test_a_normal_prior_is_a_ridge(noise):
     errors = np.sqrt(np.diag(covariance))
     assert np.all(np.abs([e.value for e in estimates] - expected) < 0.01 * errors)
     assert_allclose([e.standard_error for e in estimates], errors, rtol=1e-4)
-    # Data pull at the estimate, against the prior: to first order in what is left of the way.
+    # The remaining distance to the optimum affects the data part to first order.
     assert result.reduced_chi_square == pytest.approx(reduced, rel=1e-3)
     assert result.cost == pytest.approx(np.sum(left**2) / 2, rel=1e-4)
     assert estimates[0].prior_share == pytest.approx(inverse[0, 0] / 0.02**2, rel=1e-4)
@@ -73,7 +73,7 @@ def test_a_normal_prior_is_a_ridge(noise):
 
 @pytest.mark.parametrize(("deviation", "offset"), [(1e-3, 0.3), (10.0, 0.3), (0.01, 0.5)])
 def test_the_noise_is_that_of_the_cells_whatever_a_prior_says(deviation, offset):
-    """Of 12 cells and two parameters; also where the prior is far off."""
+    """The case has 12 cells and two parameters, and includes priors that are far off."""
     recorded = run(sigma=SIGMA, samples=12, state_noise=False, seed=3)
     design = np.stack([np.exp(-DECAY * recorded.times), np.ones(12)], axis=1)
     squares = np.linalg.lstsq(design, recorded.observations["tip_z"], rcond=None)[1]
@@ -110,12 +110,12 @@ def test_a_log_normal_prior_is_normal_in_the_logarithm():
     assert_allclose([e.value for e in estimates], reference.x, atol=1e-4)
     errors = np.sqrt(np.diag(covariance))
     assert_allclose([e.standard_error for e in estimates], errors, rtol=1e-3)
-    assert 1.91 < estimates[0].value < 1.99  # between prior and data
+    assert 1.91 < estimates[0].value < 1.99  # between the prior and the data
 
 
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_what_no_channel_responds_to_is_as_known_as_before(loss):
-    """Whatever the noise turns out to be: it is half of what is stated here, or three times."""
+    """This holds whether the noise is half of the stated one, or three times as large."""
     for noise in (2 * SIGMA, SIGMA / 3):
         result = fit(
             Decay(),
@@ -134,7 +134,7 @@ def test_what_no_channel_responds_to_is_as_known_as_before(loss):
 
 
 def test_a_prior_breaks_what_only_a_product_determines():
-    """Without it neither has an error; with it both have that of the prior."""
+    """Without a prior, neither has an error; with it, both have that of the prior."""
     free = ["amplitude", "decay", "offset", "twin"]
     loose = fit(Decay(), run(), free=free, start={"twin": 1.3})
     assert loose.parameters["twin"].standard_error is None
@@ -158,7 +158,7 @@ def test_a_fit_starts_where_its_prior_is_unless_told_otherwise():
 
 
 def test_the_states_of_single_runs_may_have_priors():
-    """An element of one path, a whole path, in each run."""
+    """A prior may be for one element of a path or for a whole path, in each run."""
     runs = [recording(index)[0] for index in (0, 1)]
     free = fit(OwnHeights(), runs, start={"decay": 1.5})
     priors = {"height": Prior(1.0, deviation=1e-4), "drift[1]": Prior(0.0, deviation=1e-4)}
@@ -173,7 +173,7 @@ def test_the_states_of_single_runs_may_have_priors():
 
 @pytest.mark.slow
 def test_rows_of_priors_are_rows_of_the_whole_jacobian():
-    """With groups of runs and a tie, too: blocks against jacfwd of the residual."""
+    """With groups of runs and a tie: blocks, against jacfwd of the residual."""
     runs = [run(seed=seed, samples=20 + seed) for seed in range(3)]
     setup = set_up(
         Decay(),
@@ -238,7 +238,7 @@ def test_a_prior_that_cannot_be_is_refused(priors, sentence):
 
 @pytest.mark.slow
 def test_a_prior_of_the_mass_sets_the_scale_that_motion_leaves_open(tmp_path):
-    """Of a weightless arm only ratios to its mass are determined; with a prior all is."""
+    """For a weightless arm, only ratios to its mass are identifiable, but with a prior all are."""
     recorded = small_run(tmp_path)
     model = model_for([recorded])
     links = model.arm.links

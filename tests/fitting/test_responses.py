@@ -1,4 +1,4 @@
-"""How predictions respond to parameters, many at once and few: alike."""
+"""Responses of predictions to parameters are the same, for few and for many directions."""
 
 import numpy as np
 import pytest
@@ -13,10 +13,10 @@ PATHS = list(TRUTH)
 @pytest.mark.parametrize("count", [15, 18, 19])
 @pytest.mark.parametrize("several", [False, True])
 def test_many_directions_give_the_columns_of_few(count, several):
-    """From some number on those of one run are dealt out over two cores; states of runs stay."""
+    """Many directions of one run are split over two cores, and states of runs are not changed."""
     runs = swing(seconds=9.0)[: 2 if several else 1]
     few = [Direction(path, np.asarray(1.0)) for path in PATHS]
-    # One path with steps of other sizes is as good as other paths.
+    # Directions of one path with different step sizes serve as different paths.
     sizes = 1.0 + np.arange(count)
     many = [Direction(PATHS[i % 4], np.asarray(size)) for i, size in enumerate(sizes)]
     for given, expected in zip(

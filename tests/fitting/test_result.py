@@ -1,4 +1,4 @@
-"""A result as data: read from earlier versions, shown, and small records all the way down."""
+"""A result as data: read from earlier versions, displayed, and composed of small records."""
 
 import dataclasses
 import json
@@ -12,7 +12,7 @@ from giajax import InputError, load_result, read_run
 from giajax.fitting import Estimate, GradientCheck, Shift
 from giajax.report import summary
 
-# Written by giajax before results were records: two starts, a validation, estimated noise.
+# Written by a version before results were records: two fits, a validation, estimated noise.
 EARLIER = Path(__file__).parent / "earlier"
 
 
@@ -43,7 +43,7 @@ def test_it_predicts_as_it_did(earlier):
 
 
 def test_what_was_written_before_is_written_again(earlier):
-    """The shape of result.json stays: every key is where it was, with its value."""
+    """The structure of result.json is unchanged: every key has its place and value."""
 
     def check(before, after):
         if isinstance(before, dict):
@@ -132,5 +132,5 @@ def test_the_key_that_is_wrong_is_named(tmp_path, change, complaint):
     path.write_text(json.dumps(record))
     with pytest.raises(InputError) as raised:
         load_result(path)
-    expected = f"{path} is not a result of giajax ({complaint}): give the folder of a fit"
+    expected = f"{path} is not a giajax result ({complaint}): give the folder of a fit"
     assert str(raised.value) == expected

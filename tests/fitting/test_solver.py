@@ -1,4 +1,4 @@
-"""The trust region behind optimistix's interface."""
+"""The trust-region solver with optimistix's interface."""
 
 import itertools
 
@@ -38,7 +38,7 @@ def test_a_linear_problem_takes_its_optimum_from_numpy():
 
 
 def test_scaling_a_parameter_changes_nothing():
-    """Marquardt's scaling makes the iterates covariant: optimistix's own is not."""
+    """Marquardt's scaling makes the iterates covariant, unlike optimistix's own solver."""
     times = jnp.linspace(0.0, 3.0, 40)
     observed = 2 * jnp.exp(-0.5 * times) + 0.01 * jnp.sin(50 * times)
 
@@ -55,7 +55,7 @@ def test_scaling_a_parameter_changes_nothing():
 
 
 def drive(fn, start, solver, steps=40):
-    """Step by hand, as the host loop does; the history of (point, cost, accepted)."""
+    """Step as the host loop does, and return the history of (point, cost, accepted)."""
     shape, aux = jax.eval_shape(fn, start, None)
     state = solver.init(fn, start, None, {}, shape, aux, frozenset())
     point, history = start, []
@@ -74,7 +74,7 @@ def drive(fn, start, solver, steps=40):
 
 
 def test_the_cost_never_rises():
-    """A hard valley and a narrow box: bent steps must not be taken for good ones."""
+    """In a difficult valley and a small trust region, bad steps must not be accepted."""
 
     def fn(y, args):
         return jnp.stack([30 * (y[1] - jnp.sin(4 * y[0])), y[0] - 2.5]), None
@@ -86,14 +86,14 @@ def test_the_cost_never_rises():
 
 
 def test_a_step_off_a_bent_valley_is_gone_on_from():
-    """Along a circle: the tangent is refused, and where it led the way leads back to the floor."""
+    """On a circle, the tangent step is rejected, and a correction returns to the valley floor."""
 
     def fn(y, args):
         return jnp.stack([10 * (jnp.hypot(*y) - 1), jnp.arctan2(y[1], y[0]) - 0.8]), None
 
     history = drive(fn, jnp.array([1.0, 0.0]), Marquardt())
     np.testing.assert_allclose(history[-1][0], [np.cos(0.8), np.sin(0.8)], atol=1e-6)
-    # Nineteen where steps only become shorter.
+    # Nineteen iterations if steps are only shortened.
     assert len(history) <= 10
     refused = [place for place, (*_, accepted) in enumerate(history) if not accepted]
     after = history[refused[0] + 1]
@@ -109,7 +109,7 @@ def test_no_coordinate_leaves_the_box_of_a_step():
 
 @pytest.mark.parametrize("broken", [jnp.nan, jnp.inf])
 def test_a_trial_that_fails_is_a_rejected_step(broken):
-    """A full step from here would land where the function is not finite."""
+    """A full step from here would lead to a point where the function is not finite."""
 
     def fn(y, args):
         value = jnp.where(y[0] > 1.5, broken, jnp.exp(y[0]) - 3)
@@ -121,7 +121,7 @@ def test_a_trial_that_fails_is_a_rejected_step(broken):
 
 
 def test_a_wall_is_not_an_optimum():
-    """Every trial towards the optimum fails: the solver must not call that converged."""
+    """If every trial towards the optimum fails, the solver must not report convergence."""
 
     def fn(y, args):
         return jnp.stack([jnp.where(y[0] > 1.0, jnp.nan, y[0] - 3.0), 0.1 * jnp.cos(y[0])]), None
@@ -144,7 +144,7 @@ def test_what_is_not_active_stays():
 
 
 def test_an_optimum_on_a_bound_is_reached_and_left_again():
-    """Of two correlated parameters the first has to wait on its bound, and comes back."""
+    """Of two correlated parameters, the first stays at its bound for a while and then leaves it."""
     start = jnp.array([0.3, 2.0])
     options = {"lower": jnp.zeros(2), "upper": jnp.full(2, jnp.inf)}
 

@@ -1,4 +1,4 @@
-"""Parameters that follow from others, and expressions over paths."""
+"""Tied parameters, which are expressed by others, and expressions over paths."""
 
 import math
 
@@ -61,12 +61,12 @@ def test_an_expression_is_arithmetic(text, value):
     ],
 )
 def test_what_is_no_arithmetic_is_refused(text):
-    with pytest.raises(InputError, match=r"must be made of numbers, paths.*: correct it"):
+    with pytest.raises(InputError, match=r"must consist of numbers, parameter paths.*: correct it"):
         Expression.parse(text)
 
 
 def test_a_tie_is_a_reparametrised_model():
-    """amplitude = 6 offset leaves one number: a straight line through the origin."""
+    """amplitude = 6 offset leaves one free parameter: a straight line through the origin."""
     recorded = run(sigma=NOISE)
     column = (6 * np.exp(-0.7 * recorded.times) + 1) / NOISE
     data = recorded.observations["tip_z"] / NOISE
@@ -96,7 +96,7 @@ def test_a_tie_is_a_reparametrised_model():
 
 
 def test_the_error_of_a_nonlinear_tie_is_that_of_its_slope():
-    """offset = log(decay) / decay: against differences of the fitted expression."""
+    """offset = log(decay) / decay, compared with differences of the fitted expression."""
     model = Decay(amplitude=1.0)
     result = fit(
         model, run(), free=["amplitude", "decay"], ties={"offset": "log(1 + decay) / (decay + 1)"}
@@ -119,7 +119,7 @@ def test_ties_of_ties_are_computed_in_their_order():
 
 
 def test_an_element_that_its_own_tie_names_stays_free():
-    """One mass for all links: the tie of an array to one of its elements."""
+    """One mass for all links: an array is tied to one of its elements."""
     model = ArmModel(takeichi_20m(4))
     times = np.linspace(0.0, 2.0, 9)
     flat = Run.from_arrays(times, {"joint01_command": 0 * times, "link04_z": times})
@@ -135,7 +135,7 @@ def test_an_element_that_its_own_tie_names_stays_free():
 
 
 def test_a_step_that_leads_a_tied_parameter_beyond_its_bounds_is_rejected():
-    """idle = 0.25 - offset must not be negative, and the best offset is 0.3."""
+    """idle = 0.25 - offset must not be negative, but the best offset is 0.3."""
     result = fit(
         Decay(decay=0.7),
         run(),
@@ -166,7 +166,7 @@ def test_a_step_that_leads_a_tied_parameter_beyond_its_bounds_is_rejected():
             {"ties": {"decay": "twin"}, "fix": {"decay": 1}},
             "'decay' is tied to other parameters and also fixed",
         ),
-        ({"ties": {"decay": "twin"}, "start": {"decay": 1}}, "'decay' is tied .* given a start"),
+        ({"ties": {"decay": "twin"}, "start": {"decay": 1}}, "'decay' is tied .* given an initial"),
         ({"ties": {"decay": "10 * twin"}}, "decay = 10 1/s is outside its bounds"),
         ({"ties": {"decay": "log(0 - twin)"}}, "decay = nan 1/s is outside its bounds"),
     ],
@@ -188,7 +188,7 @@ def test_a_tie_of_another_number_of_values_is_refused():
 
 @pytest.mark.slow
 def test_one_common_mass_of_twenty_links_is_found():
-    """Positions of a pitching arm with a stiffness that is known: the mass of all links is one."""
+    """Positions of a pitching arm of known stiffness determine the common mass of all links."""
     truth = replace(ArmModel(takeichi_20m(20)), {"links.mass": 0.06, "joints.damping": 0.1})
     times = np.linspace(0.0, 3.0, 31)
     commands = {"joint01_command": np.clip(times, 0, 1) * 0.4}

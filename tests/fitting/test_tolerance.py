@@ -1,4 +1,4 @@
-"""A fit chooses the tolerance of the integrator: by what it moves, and where the cost is rough."""
+"""A fit chooses the integrator tolerance from its effect and from the roughness of the cost."""
 
 import dataclasses
 import functools
@@ -28,12 +28,12 @@ def _number(value):
 
 
 class Approximate(Decay):
-    """A decay that is computed to a tolerance; its error grows with that, and is of two kinds.
+    """A decay with two errors that are proportional to the tolerance.
 
     Attributes:
-        tolerance: None where it is left to a fit.
-        bias: relative error of the rate, over the tolerance.
-        roughness: of jumps that no derivative sees, over the tolerance, m.
+        tolerance: tolerance; None lets the fit choose it.
+        bias: relative error of the rate, divided by the tolerance.
+        roughness: size of jumps without derivatives, divided by the tolerance, m.
     """
 
     tolerance: jax.Array | None = eqx.field(
@@ -56,7 +56,7 @@ class Approximate(Decay):
     def predict(self, inputs, channels):
         inexact = dataclasses.replace(self, decay=self.decay * (1 + self.bias * self.tolerance))
         values, successful = Decay.predict(inexact, inputs, channels)
-        # As steps that come and go while the parameters change.
+        # Jumps like those of steps that appear and disappear when the parameters change.
         place = 1e7 * jax.lax.stop_gradient(self.decay + self.amplitude)
         jumps = self.roughness * self.tolerance * jnp.sin(jnp.floor(place) + 40.0 * inputs)
         return {name: value + jumps for name, value in values.items()}, successful
@@ -64,12 +64,12 @@ class Approximate(Decay):
 
 @functools.cache
 def exact():
-    """The fit without any error."""
+    """Return the fit without any error."""
     return fit(Decay(), run(), start=BEGIN)
 
 
 def off(result, reference):
-    """The largest distance of an estimate from a reference, in standard errors."""
+    """Return the largest difference of an estimate from a reference, in standard errors."""
     pairs = [(result.parameters[path], reference.parameters[path]) for path in TRUTH]
     return max(abs(one.value - other.value) / other.standard_error for one, other in pairs)
 
@@ -84,14 +84,14 @@ def test_it_is_the_coarsest_that_moves_nothing_by_much():
         assert result.tolerance_effect.factor == 0.01
         assert result.tolerance_effect.largest_in_standard_errors < 0.002
         assert off(result, exact()) < 0.01
-    # What the coarsest would have done.
+    # For comparison, the result with the coarsest tolerance.
     stated = fit(Approximate(bias=300.0), run(), start=BEGIN, tolerance=1e-5)
     assert stated.tolerance_effect.largest_in_standard_errors > 0.01 < off(stated, exact())
     assert (stated.integration.tolerance, stated.integration.chosen) == (1e-5, False)
 
 
 def test_what_a_tenth_leaves_is_known_without_a_finer_simulation():
-    """At the optimum 1e-5 will not quite do; what does is compared once, where the fit ends."""
+    """1e-5 is slightly too coarse at the optimum; the final tolerance is compared once."""
     compared = []
 
     class Counted(Approximate):
@@ -112,7 +112,7 @@ def test_an_optimum_follows_its_tolerance_without_a_step(bias):
     assert result.status == "converged"
     assert result.integration.tolerance < 1e-5
     *_, before, last = result.history
-    # The same iteration, by another tolerance.
+    # The same iteration with another tolerance.
     assert before.number == last.number == result.iterations
     assert last.parameters == {path: result.parameters[path].value for path in last.parameters}
     assert last.parameters != before.parameters
@@ -134,7 +134,7 @@ def test_many_rows_ask_for_less_and_say_the_same(monkeypatch):
     monkeypatch.setattr("giajax.fitting._steps._MANY_ROWS", 5)
     many = fit(Approximate(bias=8.0), run(), start=BEGIN)
     assert off(many, few) < 0.005
-    # They begin at 3e-6 and 1e-5, which is nearly one step of a root of ten.
+    # The fits start at 3e-6 and 1e-5, which differ by nearly one step of a root of ten.
     assert many.integration.tolerance == pytest.approx(few.integration.tolerance, rel=0.06)
     assert (few.tolerance_effect.factor, many.tolerance_effect.factor) == (0.01, 0.1)
     assert few.gradient_check.relative_difference < 1e-6
@@ -159,7 +159,7 @@ def test_a_refit_and_what_is_held_out_have_a_tolerance_that_suits_them():
     again = refit(result, [recorded])
     assert again.integration == result.integration
     assert again.config["tolerance"] is None
-    # What was coarse enough for the first one may not be so for the next.
+    # A tolerance that suffices for the first fit may be too coarse for the next.
     coarse = fit(Approximate(bias=1.0), recorded, start=BEGIN)
     worse = dataclasses.replace(coarse.model, bias=_number(300.0))
     assert refit(coarse, [recorded], model=worse).integration.tolerance < 2e-6
@@ -173,7 +173,7 @@ def test_the_last_steps_keep_to_the_limits_of_the_fit():
         for count in range(1, most)
     ]
     assert [each.iterations for each in ends] == list(range(1, most))
-    # An optimum is one, also where a step nearer to it was left to try.
+    # An optimum is reported even if a closer step could still be tried.
     assert {each.status for each in ends} == {"converged", "not_converged"}
 
 
@@ -191,7 +191,7 @@ def test_a_finer_simulation_that_fails_has_no_effect_that_is_known():
 
 
 def test_a_cost_that_is_too_rough_to_descend_gets_a_finer_one():
-    # It is nothing that the parameters could imitate, and so moves no estimate by itself.
+    # The parameters cannot imitate the roughness, so it does not bias the estimates.
     stuck = fit(Approximate(roughness=3e3), run(), start=BEGIN, tolerance=1e-5)
     assert stuck.status == "not_converged"
     result = fit(Approximate(roughness=3e3), run(), start=BEGIN)
@@ -232,11 +232,11 @@ def test_an_arm_is_fitted_to_what_its_noise_asks_for(tmp_path, compiled):
     before = compiled()
     ends = {path: each.value for path, each in result.free.items()}
     reference = fit(result.model, recorded, start=ends, tolerance=1e-10, check=False)
-    # Other tolerances, those that the choice tried included, are other numbers of one program.
+    # Other tolerances, including those tried by the choice, are only other inputs of one program.
     assert compiled() - before <= 2
     for path, each in reference.free.items():
         assert abs(result.parameters[path].value - each.value) < 0.01 * each.standard_error
-    # With a hundredth of the noise the same tolerance moves a hundred times as much.
+    # With a hundredth of the noise, the same tolerance has a hundred times the effect.
     quiet = giajax.Run.from_arrays(
         recorded.times,
         {**recorded.commands, **_with_less_noise(result, recorded, 0.01)},
@@ -254,7 +254,7 @@ def test_an_arm_is_fitted_to_what_its_noise_asks_for(tmp_path, compiled):
 
 
 def _with_less_noise(result, recorded, part):
-    """The recording with a part of the residuals that a fit left."""
+    """Return the recording with only a part of the residuals of a fit."""
     predicted = result.predict(recorded)
     return {
         name: predicted[name] + part * (row - predicted[name])

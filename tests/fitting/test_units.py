@@ -1,4 +1,4 @@
-"""Tables of hysteresis: the units are those of the columns, and the numbers are of a size."""
+"""Hysteresis tables: the units are those of the columns, and the numbers have a handy size."""
 
 from types import SimpleNamespace
 
@@ -48,7 +48,7 @@ def test_units_are_those_of_the_columns(unit, factor, shown):
 def test_units_that_cancel_are_none():
     one = converted("output/input", {"input": "command_deg", "output": "angle_deg"})
     assert (one.value, one.unit) == (pytest.approx(2.0), "")
-    # A bare column has no unit, so that a slope has that of the other one.
+    # A column without a unit gives a slope with the unit of the other column.
     one = converted("output/input", {"input": "input", "output": "output_mm"})
     assert (one.value, one.unit) == (pytest.approx(2e3), "mm")
     one = converted("input", {"input": "input_deg_per_s"}, [1.0, 2.0])
@@ -62,7 +62,7 @@ def test_units_of_a_fraction_are_told_apart():
 
 
 def test_progress_is_in_the_units_of_the_table(capsys, tmp_path):
-    """And what is always uncertain has no column."""
+    """Nuisance parameters have no column."""
     path = tmp_path / "loop.csv"
     path.write_text("input_kPa,output_mm\n0,0\n9,9\n0,1\n9,9\n")
     (tmp_path / "loop.toml").write_text('model = "hysteresis"\n[hysteresis]\nthresholds = 1\n')
@@ -92,7 +92,7 @@ def test_a_loop_is_described_in_its_own_units(tmp_path):
     row = next(line for line in parameter_table(result).splitlines() if line.startswith("elastic"))
     slope, unit = float(row.split()[1]), row.split()[3]
     assert unit == "mm/kPa"
-    # As it is in SI, m/Pa, in result.json.
+    # In result.json, the value is in SI units, m/Pa.
     assert slope == pytest.approx(1e6 * result.parameters["elastic"].value, rel=1e-3)
     assert "units               those of input_kPa and output_mm" in summary(result)
     assert "output/input" not in parameter_table(result)

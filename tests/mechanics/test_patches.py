@@ -1,4 +1,4 @@
-"""Where lines come near boxes: against a fine search, and between boxes that share faces."""
+"""Parts of lines near boxes: compared with a fine search, and boxes with shared faces."""
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ RADIUS = 0.15
 
 
 def lines(start, direction, length):
-    """Each line beside each box: rows of lines, then of boxes."""
+    """Pair each line with each box: rows of lines, then of boxes."""
     boxes = solids(OBSTACLES)
     frame, centre = np.asarray(boxes.frame), np.asarray(boxes.centre)
     shape = (len(start), centre.shape[1])
@@ -46,7 +46,7 @@ def random_lines(count):
     random = np.random.default_rng(0)
     start = random.uniform([-1, -2, -2], [5, 2, 2], (count, 3))
     direction = random.normal(size=(count, 3))
-    # Some along axes, parallel to faces.
+    # Some lines are along axes, parallel to faces.
     direction[: count // 4] = np.eye(3)[random.integers(0, 3, count // 4)]
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     return lines(start, direction, random.uniform(0.5, 2.0, count))
@@ -83,7 +83,7 @@ def test_the_nearest_point_is_on_the_surface_along_the_normal():
     assert_allclose(np.sum(seen.normal**2, axis=0), 1, rtol=1e-14)
     surface = x - seen.distance[None] * seen.normal
     assert_allclose(np.max(np.abs(surface) - half, axis=0), 0, atol=1e-14)
-    # Nothing of the surface is nearer.
+    # No point of the surface is nearer.
     clipped = np.clip(x, -half, half)
     outside = seen.distance > 0
     gap = np.linalg.norm(x - clipped, axis=0)
@@ -100,7 +100,7 @@ def test_inside_a_shared_face_is_no_way_out():
     seen = nearest(np.asarray([[0.49], [0.3], [0.0]]), half, shared)
     assert_allclose(seen.normal[:, 0], [0, 1, 0])
     assert_allclose(seen.distance, [-0.7])
-    # Nor does the distance jump on the way through the middle, towards the face that is one.
+    # The distance does not jump on a path through the middle, to the face that is not shared.
     across = np.stack([np.linspace(-0.49, 0.49, 99), np.zeros(99), np.zeros(99)])
     seen = nearest(across, half, shared)
     assert_allclose(seen.distance, np.maximum(-across[0] - 0.5, -1.0), atol=1e-14)
@@ -122,7 +122,7 @@ def test_the_boxes_of_a_wall_fill_it_but_for_the_opening():
     boxes = solids([wall])
     volume = float(jnp.sum(8 * jnp.prod(boxes.half, axis=0)))
     assert_allclose(volume, 0.4 * ((0.5 + 2 + 1.5) * (1 + 1 + 2) - 2.0 * 1.0), rtol=1e-14)
-    # A face is shared exactly where another box begins.
+    # A face is shared exactly where another box starts.
     for box in range(8):
         for side, sign in enumerate((-1, 1)):
             for k in range(3):

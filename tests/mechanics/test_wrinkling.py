@@ -1,4 +1,4 @@
-"""Inflated tubes that bend: against sections integrated point by point, and measurements."""
+"""Bending of inflated tubes: compared with numerically integrated sections and measurements."""
 
 import itertools
 
@@ -29,9 +29,9 @@ FIRST = FORCE / (2 * np.pi * FILM * RADIUS**2)
 
 NECK = Neck(radius=0.05, length=0.06)
 SHUT = 0.06 / (2 * 0.05)
-"""Angle at which gas has no room any longer on the compressed side of the neck."""
+"""Angle at which the compressed side of the neck has no volume."""
 WRINKLED = 0.06 * (1e3 * np.pi * 0.05**2 - 3.0) / (2 * np.pi * FILM * 0.05**2)
-"""Angle at which it wrinkles under 3 N."""
+"""Angle at which the neck wrinkles under 3 N."""
 
 
 def bent(k, force=FORCE, tube=TUBE):
@@ -60,7 +60,7 @@ def test_a_section_is_that_which_is_integrated_point_by_point(times):
     around = np.linspace(0, np.pi, 200_001)
 
     def borne(strain):
-        """Force of each metre of film, at angles from the stretched side on."""
+        """Force per metre of film, at angles from the stretched side on."""
         return FILM * np.maximum(strain + k * RADIUS * np.cos(around), 0)
 
     def total(strain):
@@ -72,14 +72,14 @@ def test_a_section_is_that_which_is_integrated_point_by_point(times):
 
 
 def test_a_tube_that_collapses_bears_n_r():
-    """1 - M / (N r) is d^2 / 10 where the tight half-angle d is small, d^3 = 3 N / 2 E t r^2 k."""
+    """1 - M / (N r) is d^2 / 10 for a small tight half-angle d, with d^3 = 3 N / 2 E t r^2 k."""
     k = FIRST * np.array([1e4, 1e5, 1e6])
     half = np.cbrt(3 * FORCE / (2 * FILM * RADIUS**2 * k))
     assert_allclose(1 - bent(k) / (FORCE * RADIUS), half**2 / 10, rtol=2e-3)
     assert np.all(
         np.isinf(curvature(TUBE, jnp.asarray([1.01, 1.5]) * FORCE * RADIUS, jnp.asarray(FORCE)))
     )
-    # Without a force that stretches it, film bears nothing.
+    # Without a tensile force, film carries no load.
     assert float(bent(1.0, 0.0)) == float(bent(1.0, -1.0)) == 0
 
 
@@ -106,7 +106,7 @@ def test_a_closed_loop_of_bend_and_compression_conserves_energy():
     wrinkles = [WRINKLED * x for x in (0.5, 1, 1.5, 3)]
 
     def along(function, start, end, corners=()):
-        # Between corners, so that none lies within an interval of the rule.
+        # Split at corners, so that no interval of the rule contains one.
         ends = [start, *sorted(x for x in corners if start < x < end), end]
         pieces = itertools.pairwise(ends)
         return sum(
@@ -124,13 +124,13 @@ def test_a_closed_loop_of_bend_and_compression_conserves_energy():
 
     out, back = bending(little), bending(much)
     loop = out + pressing(far) - back - pressing(near)
-    assert out - back > 0.02  # J: what is balanced is not nothing
+    assert out - back > 0.02  # J; the balanced amount is not zero
     assert abs(loop) < 1e-8 * out
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7 * WRINKLED, 4 * WRINKLED, 0.3, 0.99 * SHUT, 1.4 * SHUT])
 def test_slopes_of_a_neck_by_everything(angle):
-    """Forwards and backwards, compiled, against central differences."""
+    """Compiled forward- and reverse-mode derivatives, compared with central differences."""
     given = [0.05, FILM, 0.06, 1e3, angle, 3.0]
 
     def both(x):
@@ -157,7 +157,7 @@ def test_slopes_are_continuous_through_each_limit(limit, side):
 
 
 def test_a_folding_neck_is_a_wedge_without_gas():
-    """Of stiff film: p times the volume that bending takes, less what the muscles do."""
+    """For stiff film: p times the volume change due to bending, minus the work of the muscles."""
     stiff = Neck(radius=0.05, length=0.06, film_stiffness=1e9)
     for angle in (0.4, 0.8, 1.2):
         depth = np.linspace(0, 0.1, 400_001)
@@ -174,10 +174,10 @@ COLLAPSE = (322.55, 0.0239, 5.3833, 0.0461)
 
 
 def measured(deflection, radius, bar):
-    """Tip force (N) of an inflated cantilever of 1 m: Breukels' fit of his measurements.
+    """Return the tip force (N) of an inflated cantilever of 1 m by Breukels' fit of measurements.
 
-    J. Breukels, An engineering methodology for kite design, TU Delft, 2011: tubes of kite fabric;
-    numbers as the programs ASKITE and kite_fem have them.
+    J. Breukels, An engineering methodology for kite design, TU Delft, 2011: tubes of kite fabric.
+    The numbers are those of the programs ASKITE and kite_fem.
     """
     a, b, c, d, e, f, g, h = BREUKELS
     plateau = (a * radius + b) * bar**2 + c * radius**3 + d
@@ -187,7 +187,7 @@ def measured(deflection, radius, bar):
 
 @pytest.mark.parametrize("bar", [0.3, 0.4, 0.5])
 def test_a_cantilever_follows_measured_loads(bar):
-    """From a tenth of the deflection at which it collapses up to it; the fabric's E t is fitted."""
+    """From a tenth of the deflection at collapse up to it; the fabric's E t is fitted."""
     radius = 0.065
     e, f, g, h = COLLAPSE
     collapse = (e * radius**4 + f) * bar + g * radius**2 + h
@@ -212,13 +212,13 @@ def test_a_cantilever_follows_measured_loads(bar):
     fitted = minimize_scalar(off, bounds=np.log([5e4, 1e6]), method="bounded")
     assert 1.4e5 < np.exp(fitted.x) < 2.2e5
     assert fitted.fun < 0.1
-    # It bears what is measured at its collapse, which no E t has a say in, to 20 %.
+    # The load at collapse, which does not depend on E t, agrees with the measurement to 20 %.
     assert loads[-1] / (float(force) * radius) == pytest.approx(0.87, abs=0.08)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_near_collapse_and_without_a_force_nothing_is_lost(dtype):
-    """1 - M / (N r) is d^2 / 10 of the tight angle d, and M / (E t r^3 k) goes to 2 d^3 / 3."""
+    """1 - M / (N r) is d^2 / 10 for the tight angle d, and M / (E t r^3 k) approaches 2 d^3 / 3."""
     loads = jnp.asarray(1 - np.logspace(-16, -0.31, 300), dtype)
     shares = np.asarray(stiff_share(loads))
     assert np.all(np.isfinite(shares) & (shares >= 0))

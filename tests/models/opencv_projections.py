@@ -1,9 +1,9 @@
-"""Pixels of OpenCV's `projectPoints`, as reference values: writes the file beside this one.
+"""Write pixels of OpenCV's `projectPoints` as reference values into the file next to this one.
 
     pip install opencv-python-headless
     python tests/models/opencv_projections.py
 
-OpenCV weighs 70 MB, so that the tests read what it gave once.
+OpenCV has a size of 70 MB, so the tests only read these stored values.
 """
 
 import json
@@ -13,7 +13,8 @@ import numpy as np
 
 FILE = Path(__file__).with_name("opencv_projections.json")
 
-# k1, k2, p1, p2, k3: none, a usual lens, a wide one with all terms, and only the tangential ones.
+# k1, k2, p1, p2, k3: no distortion, a usual lens, a wide-angle lens with all terms, tangential
+# only.
 _LENSES = [
     [0.0, 0.0, 0.0, 0.0, 0.0],
     [-0.11, 0.013, 0.0004, -0.0007, 0.0],
@@ -41,7 +42,8 @@ def main() -> None:
             turn = random.normal(size=3)
             turn *= random.uniform(0.1, 3.0) / np.linalg.norm(turn)
             shift = random.uniform(-8, 8, size=3)
-            # Points before the camera, to 45 degrees beside its axis, put back into the world.
+            # Points in front of the camera, up to 45 degrees from its axis, transformed to the
+            # world.
             depth = random.uniform(0.5, 25, size=(12, 1))
             before = np.hstack([random.uniform(-1, 1, size=(12, 2)) * depth, depth])
             points = (before - shift) @ cv2.Rodrigues(turn)[0]

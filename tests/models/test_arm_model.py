@@ -1,4 +1,4 @@
-"""The arm as a model: what it predicts, and that a fit of it is right and honest."""
+"""The arm as a model: its predictions, and fits with accurate estimates and honest errors."""
 
 import dataclasses
 
@@ -89,7 +89,7 @@ def result(run):
 @pytest.mark.slow
 def test_the_truth_is_recovered(result):
     assert result.status == "converged"
-    # Four of them with the noise that was estimated on the way.
+    # Four of the iterations are with the estimated noise.
     assert result.iterations <= 12
     for path, value in TRUTH.items():
         estimate = result.parameters[path]
@@ -117,15 +117,15 @@ def test_a_pitch_run_does_not_determine_the_yaw_stiffness():
 def test_a_fitted_mass_is_conditional_on_the_forces():
     model = truth_model()
     (sentence,) = model.conditions(["links.mass[0]"], [])
-    assert "held at links.inertia_transverse" in sentence
+    assert "fixed by links.inertia_transverse" in sentence
     assert "air.drag_coefficient = 1.3" in sentence
     everything = [path for path in giajax.declared(model) if path.startswith(("links", "j", "air"))]
-    assert "none of these is fixed" in model.conditions(everything, [])[0]
+    assert "no parameter fixes the scale" in model.conditions(everything, [])[0]
     assert model.conditions(["gravity"], []) == []
 
 
 def test_what_an_unnamed_preset_gave_is_a_condition(run):
-    """Of a run whose sidecar names none: what is held, where the model has it from there."""
+    """If the sidecar names no preset, fixed values from the preset are reported as a condition."""
 
     def said(model, free=()):
         return [each for each in model.conditions(free, [run]) if "names no preset" in each]
@@ -159,7 +159,7 @@ def test_mass_and_forces_are_only_determined_together(run):
 
 
 def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
-    """Seconds that are 1.2 times as many: what has them in its unit makes up for it."""
+    """If times are 1.2 times too large, all values with time in their unit compensate for it."""
     model, slow = truth_model(), dataclasses.replace(run, times=1.2 * run.times)
     free = ["joints.pitch_stiffness", "joints.yaw_stiffness", "joints.damping"]
     powers = [1 / 1.2**2, 1 / 1.2**2, 1 / 1.2]
@@ -179,7 +179,7 @@ def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
         run, values=run.values | {"joint01_rate": 0 * run.times},
         channels=run.channels | {"joint01_rate": Channel.named("joint01_rate")},
     )  # fmt: skip
-    # Stiffness that is held, and a rate, say what a second is.
+    # A fixed stiffness together with a rate determines the unit of time.
     assert said(model, [run], free[::2]) == said(model, [turning], free) == []
     each = giajax.replace(model, {"joints.damping": np.full(LINKS, 0.08)})
     assert said(each, [run], [*free[:2], "joints.damping[0]"]) == []
@@ -190,7 +190,7 @@ def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
 
 
 def test_scaling_masses_and_forces_leaves_the_prediction(run):
-    """The identity behind the condition that every result states."""
+    """This identity is the reason for the condition that every result states."""
     model = truth_model()
     scaled = giajax.replace(
         model,
@@ -206,7 +206,7 @@ def test_scaling_masses_and_forces_leaves_the_prediction(run):
 
 @pytest.mark.slow
 def test_the_residual_differentiates_as_differences_say(run):
-    """Per parameter, at the start and from rest: the arm is straight and still at first."""
+    """For each parameter, at the initial guess and from rest: initially, the arm is straight."""
     model = giajax.replace(model_for([run]), START).refined(1e-4)
     bijector = Bijector.of((0.0,) * 4, (50.0, 1e3, 1e4, 1e2), list(START.values()))
     noise = Noise.of([run], "white", per_run=False)
@@ -236,7 +236,7 @@ def test_the_residual_differentiates_as_differences_say(run):
 
 @pytest.mark.slow
 def test_padding_a_run_changes_nothing(run):
-    """Runs of several lengths share one program: the last rows are repeated."""
+    """Runs of different lengths share one program, in which the last rows are repeated."""
     cut = dataclasses.replace(
         run, times=run.times[:40], values={name: v[:40] for name, v in run.values.items()}
     )
@@ -261,7 +261,7 @@ def test_several_arm_runs_fit_together():
 
 @pytest.mark.slow
 def test_a_stiff_trial_is_rejected_and_the_fit_goes_on(run):
-    """A step limit that the start needs almost wholly makes bolder trials fail."""
+    """The step limit is just large enough for the initial guess, so bolder trials fail."""
     model = ArmModel(giajax.takeichi_20m(LINKS), max_steps=700)
     result = fit(model, run, start={**START, "joints.damping": 1.5}, check=False)
     assert result.status == "converged"
@@ -280,7 +280,7 @@ def test_a_result_rebuilds_its_model(run, result, tmp_path):
 @pytest.mark.parametrize("content", ["", "{}", "[1]", '{"schema_version": 1, "model": "arm"}'])
 def test_what_is_no_result_is_said(tmp_path, content):
     (tmp_path / "result.json").write_text(content)
-    with pytest.raises(InputError, match="not a result"):
+    with pytest.raises(InputError, match="not a giajax result"):
         giajax.load_result(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
         giajax.load_result(tmp_path / "elsewhere.json")

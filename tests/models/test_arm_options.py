@@ -1,4 +1,4 @@
-"""The arm's options as a model: through their files and back, and as parameters of a fit."""
+"""The options of the arm as a model: written to files and read back, and fitted."""
 
 import equinox as eqx
 import jax
@@ -41,9 +41,9 @@ def test_axes_are_named_where_they_have_a_name():
 def test_a_full_arm_goes_through_its_definition(links):
     model = ArmModel(full_arm(links))
     again = build_model("arm", model.definition(), parameter_values(model))
-    # The base's rotation is in degrees in the file, and rounds.
+    # In the file, the rotation of the base is in degrees, which causes rounding.
     assert eqx.tree_equal(again.arm, model.arm, rtol=1e-14, atol=1e-15)
-    # What a fit frees by default is no constant; the rest comes back without the parameters.
+    # Parameters that a fit frees by default are not constants; the constants are read back.
     constants = arm_from_definition(through_toml(arm_to_definition(model.arm)))
     again, stated = arm_to_definition(constants), arm_to_definition(model.arm)
     np.testing.assert_allclose(again.pop("base_rotation_deg"), stated.pop("base_rotation_deg"))
@@ -89,7 +89,7 @@ def run_of(model, channels, **changes):
 
 @pytest.fixture(scope="module")
 def fitted():
-    """Added mass, friction and a wind of a short arm, found from what each of them does to it."""
+    """Fit added mass, friction and a wind of a short arm."""
     options = {
         "air.added_mass_coefficient": 0.9,
         "air.wind": [0.1, 0.2, -0.3],
@@ -156,7 +156,7 @@ def test_a_wind_that_jumps_is_refused_where_added_mass_is_on():
 
 
 def test_a_stiffness_that_drifts_and_one_for_each_joint():
-    """Against another method, differences, and the arm that has it by then."""
+    """Compared with another method, differences, and an arm with the final stiffness."""
     model = ArmModel(giajax.takeichi_20m(2))
     fast = {"joint01_command": RAMP, "tip_z": 0 * TIMES}
     run = giajax.Run.from_arrays(TIMES, fast, definition={"arm": {"links": 2}})
@@ -187,18 +187,18 @@ def test_a_stiffness_that_drifts_and_one_for_each_joint():
 
 
 def test_lift_that_drifts_bends_a_joint_as_slowly():
-    """A link afloat: the torque of its lift, which is at its middle, is that of the spring."""
+    """For a floating link, the torque of the lift at its centre equals that of the spring."""
     drift, stiffness, times = -1e-3, 2.0, np.linspace(0.0, 30.0, 4)
     values = {"buoyancy.imbalance_drift": drift, "joints.pitch_stiffness": stiffness}
     arm = giajax.takeichi_20m(1, trim=True, gravity=9.81, parameters=values)
     found = simulate(arm, ramps([0.0], [[0.0]]), times, solver="springs5")
-    behind = 0.05 / stiffness  # s, by which the damper follows
+    behind = 0.05 / stiffness  # s, delay due to the damper
     expected = drift * (times - behind) * 0.99 / 2 / stiffness
     np.testing.assert_allclose(found.angles[1:, 0], expected[1:], rtol=5e-3)
 
 
 def test_drives_that_saturate_are_those_of_commands_that_do():
-    """Between rows a command is linear, and what saturates is not: by rows as dense as that."""
+    """A saturated command is not linear between rows, so the comparison uses dense rows."""
     arm, times = giajax.takeichi_20m(2), np.linspace(0.0, 1.5, 1501)
     commands = np.stack([np.clip(times, 0, 0.9), -0.5 * np.clip(times, 0.2, 0.7)], axis=1)
     size = np.array([1.2, 0.4])

@@ -1,4 +1,4 @@
-"""A model of three members is fitted, and what it lacks is said not to be checked."""
+"""A model with only three members can be fitted; missing capabilities are reported."""
 
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ from giajax.schema.parameters import parameter
 
 
 class Bare(AbstractModel):
-    """What the protocol requires, and nothing else."""
+    """A model with only the members that the protocol requires."""
 
     kind: ClassVar[str] = "bare"
     amplitude: Scalar = parameter(1.0, unit="m", lower=0, doc="height at the start", frozen=False)
@@ -45,7 +45,7 @@ def test_what_a_model_lacks_is_not_checked():
 
 def test_each_function_says_what_holds_without_the_method():
     model, run = Bare(), toy_model.run()
-    assert "for a cause that is not known" in capabilities.failure(model, None)
+    assert "failed for an unknown reason" in capabilities.failure(model, None)
     assert capabilities.refined(model, 0.1) is None
     assert capabilities.scene(model, run) is None
     assert capabilities.integration(model) is None

@@ -1,4 +1,4 @@
-"""Hysteresis runs: each operator is found from a recorded history, and bad ones are refused."""
+"""Hysteresis runs: each operator is identified from a recording, and bad runs are refused."""
 
 import dataclasses
 import itertools
@@ -25,7 +25,7 @@ INPUT = np.deg2rad(turning([0, 55, -50, 40, -30, 50, 10, 35, -55, -15, -40, 20, 
 TIMES = np.arange(len(INPUT)) * 0.5
 NOISE = np.deg2rad(0.05)
 
-# Operator, what of it is stated, and a truth away from where a fit starts.
+# Operator, its fixed settings, and true values that differ from the initial guess of a fit.
 CASES = {
     "plays": (
         {"operator": "prandtl_ishlinskii", "thresholds": 4},
@@ -106,12 +106,12 @@ def test_it_is_found_from_a_recorded_history(case):
         )
         assert estimate.standard_error is not None, (path, estimate.remark)
         assert abs(estimate.value - value) < 4 * estimate.standard_error, path
-    # Errors that would cover anything say nothing.
+    # The standard errors must not be so large that they cover anything.
     assert result.parameters["offset"].standard_error < 0.01
 
 
 def test_a_drift_is_found_and_its_absence_is_no_part_of_the_model():
-    """A camera that tips by 4 deg in the course of a run, which residuals alone show as a trend."""
+    """The camera tilts by 4 deg during the run, which only a trend of the residuals shows."""
     run = record("plays", drift=np.deg2rad(4))
     model = model_for([run])
     assert model.drift is None
@@ -136,7 +136,7 @@ def test_a_memory_from_before_the_run_is_found():
     other = record("plays", inputs=inputs, previous_extremes=np.deg2rad([-40.0]))
     assert np.max(np.abs(run.values["angle"] - other.values["angle"])) > 10 * NOISE
     for recorded, truth in ((run, 40.0), (other, -40.0)):
-        # Not told where to start: at 0, which leaves no trace, no derivative leads anywhere.
+        # Without an initial guess, it is 0, which has no effect, so its derivatives vanish.
         result = fit(truth_of("plays"), recorded, free=["previous_extremes"])
         found = result.parameters["previous_extremes[0]"]
         assert found.standard_error is not None
@@ -146,7 +146,7 @@ def test_a_memory_from_before_the_run_is_found():
 
 @pytest.mark.slow
 def test_a_memory_is_found_with_everything_else():
-    """From a run that states nothing, alone and among several starts."""
+    """The run does not give the initial memory; with one and with several initial guesses."""
     inputs = np.deg2rad(turning([10, 16, 6, 55, -58, 50, -20, 30, -50, 12]))
     run = record("plays", inputs=inputs, previous_extremes=np.deg2rad([-40.0]))
     free = ["elastic", "weights", "offset", "previous_extremes"]
@@ -161,7 +161,7 @@ def test_a_memory_is_found_with_everything_else():
 
 
 def test_a_memory_that_is_stated_stays_where_it_is():
-    """By the user's start, or by the model."""
+    """The memory is given by the user's initial guess or by the model."""
     run = record("plays")
     free = ["previous_extremes"]
     assert model_for([run]).at_start([run], []).previous_extremes == 0
@@ -183,7 +183,7 @@ def test_several_extremes_lie_within_each_other():
     sizes = np.abs(found)
     assert np.all(np.diff(sizes) < 0)
     assert np.all(found[1:] * found[:-1] < 0)
-    # One that is not free, or is somewhere, stays.
+    # A memory that is not free, or is not zero, is kept.
     model = dataclasses.replace(model, previous_extremes=jnp.asarray([0.0, 0.0, 0.2]))
     part = np.asarray(model.at_start([run], [free[0], free[2]]).previous_extremes)
     assert part[0] != 0
@@ -213,7 +213,7 @@ def test_a_list_of_previous_extremes_is_the_history_that_it_was():
         after = predict(model, run_of(INPUT), ["angle"])["angle"]
         virgin = dataclasses.replace(model, previous_extremes=jnp.asarray([0.0]))
         at_once = predict(virgin, run_of(whole), ["angle"])["angle"]
-        # Bouc-Wen is integrated in other steps on the way.
+        # The Bouc-Wen model is integrated with other intermediate steps.
         allowed = 2e-3 if case == "bouc_wen" else 1e-12
         np.testing.assert_allclose(after, at_once[-len(INPUT) :], atol=allowed)
 
@@ -238,7 +238,7 @@ def test_it_is_rebuilt_from_its_definition(case):
 
 @pytest.fixture(scope="module")
 def of_products():
-    """A loop, and a fit of it in which only products of parameters are determined."""
+    """Return a loop, and a fit of it in which only products of parameters are identifiable."""
     run = record("bouc_wen")
     free = ["elastic", "alpha", "beta", "gamma", "delta", "offset"]
     start = {"beta": 3.0, "gamma": 0.9, "delta": 0.3}
@@ -272,7 +272,7 @@ def test_products_are_determined_where_their_factors_are_not(of_products):
         derived = result.derived[name]
         assert abs(derived.value - value) < 3 * derived.standard_error
         assert derived.standard_error < 0.1 * abs(derived.value)
-    # The same standard errors as where beta is held.
+    # The standard errors equal those of a fit with beta held fixed.
     held = fit(model_for([run]), run, fix={"beta": result.parameters["beta"].value})
     for name, path in (("beta*gamma", "gamma"), ("beta*delta", "delta")):
         error = held.parameters[path].standard_error * result.parameters["beta"].value
@@ -287,14 +287,14 @@ def test_what_is_no_run_of_it_is_refused():
     with pytest.raises(InputError, match="arm model: give a run of the hysteresis model"):
         model.prepare(arm)
     lone = Run.from_arrays([0.0, 1.0], {"angle": [0.0, 0.1]}, definition={"model": "hysteresis"})
-    with pytest.raises(InputError, match="one column of input or command, but has none"):
+    with pytest.raises(InputError, match="one input or command column, but has none"):
         model.prepare(lone)
     both = Run.from_arrays(
         [0.0, 1.0],
         {"command": [0.0, 0.1], "angle": [0.0, 0.1], "output": [0.0, 0.1]},
         definition={"model": "hysteresis"},
     )
-    with pytest.raises(InputError, match="both output and angle"):
+    with pytest.raises(InputError, match="both an output and an angle"):
         model.prepare(both)
     with pytest.raises(InputError, match="'tip_z' is not predicted"):
         predict(model, run_of(INPUT), ["tip_z"])
@@ -335,10 +335,10 @@ def test_a_narrow_knee_has_a_range_and_an_inverse(values):
 
 def test_a_move_too_coarse_for_the_knee_is_refused():
     coarse = np.asarray([0.0, 1.0, -1.0, 0.5])
-    with pytest.raises(SimulationError, match="too far between two samples for the narrow knee"):
+    with pytest.raises(SimulationError, match="too much between two samples to resolve the narrow"):
         synthesise(narrow(beta=20.0), TIMES[:4], {"command": coarse}, ["angle"])
     assert np.all(np.isinf(predict(narrow(beta=20.0), run_of(coarse), ["angle"])["angle"]))
-    # The move to the first sample may be as long as it is.
+    # The first sample may be far from the initial state.
     assert np.all(np.isfinite(predict(narrow(beta=20.0), run_of(np.ones(3)), ["angle"])["angle"]))
 
 
@@ -387,7 +387,7 @@ def test_other_quantities_are_refused(tmp_path):
 def test_keys_of_another_operator_are_refused():
     with pytest.raises(InputError, match="upper_dead_zones, which prandtl_ishlinskii does not"):
         model_for([run_of(INPUT, hysteresis={"upper_dead_zones": 3})])
-    with pytest.raises(InputError, match="states rows, which bouc_wen does not have"):
+    with pytest.raises(InputError, match="sets rows, which bouc_wen does not have"):
         model_for([run_of(INPUT, hysteresis={"operator": "bouc_wen", "rows": 20})])
 
 

@@ -1,4 +1,4 @@
-"""The joint as a model of the toolkit: what it predicts, what it refuses, what a fit says of it."""
+"""The joint as a model: its predictions, invalid input, and statements of a fit."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +26,7 @@ def test_it_predicts_the_statics():
         state = muscle_state(Joint(), np.deg2rad(degrees[i]), torque[i], side=sides[i])
         assert predicted["force"][i] == pytest.approx(float(state.force), rel=1e-14)
         assert predicted["contraction"][i] == pytest.approx(float(state.contraction), rel=1e-14)
-    # Without a column the torque is that of the joint.
+    # Without a torque column, the torque is that of the joint.
     alone = predict(JointModel(Joint(torque=0.4)), run_of(degrees, sides), ["force"])
     assert alone["force"][2] == pytest.approx(predicted["force"][2], rel=1e-14)
 
@@ -51,7 +51,7 @@ def test_the_sidecar_states_the_joint_and_comes_back():
     assert found == {key: value for key, value in section.items() if key != "blend_deg"}
     again = giajax.build_model("joint", model.definition(), {})
     assert predict(again, stated, ["force"]) == predict(model, stated, ["force"])
-    # Every key changes something.
+    # Every key has an effect.
     default = JointModel(Joint()).definition()["joint"]
     assert all(section[key] != default[key] for key in section)
     assert set(section) == set(default)
@@ -62,8 +62,14 @@ def test_the_sidecar_states_the_joint_and_comes_back():
     [
         ({"angle": [0.1], "contraction": [0.1]}, "has no side"),
         ({"side": ["inner"], "contraction": [0.1]}, "has no angle"),
-        ({"angle": [0.1], "side": ["outer"], "force": [1.0]}, "is the outer at 5.73 deg"),
-        ({"angle": [-0.1], "side": ["inner"], "force": [1.0]}, "is the inner at -5.73 deg"),
+        (
+            {"angle": [0.1], "side": ["outer"], "force": [1.0]},
+            "side is outer and the angle is 5.73 deg",
+        ),
+        (
+            {"angle": [-0.1], "side": ["inner"], "force": [1.0]},
+            "side is inner and the angle is -5.73 deg",
+        ),
         ({"angle": [30.0], "side": ["inner"], "force": [1.0]}, "at most 90 deg"),
         ({"angle": [0.1, np.nan], "side": ["inner"] * 2, "force": [1.0, 1.0]}, "empty in sample 1"),
         ({"angle": [0.1], "side": ["left"], "force": [1.0]}, "must be inner or outer"),
@@ -91,7 +97,7 @@ def test_runs_that_disagree_and_joints_that_cannot_be_built_are_refused():
 
 
 def recorded(degrees, truth, noise=0.02, seed=0):
-    """Both sides at the given sizes of the angle, with noise of a part of full scale."""
+    """Return both sides at the given absolute angles, with noise relative to full scale."""
     sizes = np.asarray(degrees, dtype=float)
     angle = np.deg2rad(np.concatenate([sizes, -sizes]))
     sides = ["inner"] * len(sizes) + ["outer"] * len(sizes)
@@ -107,16 +113,17 @@ def recorded(degrees, truth, noise=0.02, seed=0):
 
 @pytest.mark.slow
 def test_alpha_and_beta_come_back_from_50_percent_off():
-    """Noise of 2 % of full scale; 2.5 standard errors; what the data do not determine is named."""
+    """Noise of 2 % of full scale; within 2.5 standard errors; unidentifiable ones are named."""
     truth = {
         path: float(giajax.get(JointModel(Joint()), path)) for path in giajax.declared(Joint())
     }
     truth = {path: v for path, v in truth.items() if path.startswith(("alpha.", "beta."))}
     assert len(truth) == 7
-    # Every 5 deg, as an experiment would: nothing is measured inside the 2 deg of beta's wedge
-    # but 0 itself.
+    # Angles at intervals of 5 deg, as in an experiment, so only 0 itself is within the 2 deg of
+    # beta's wedge.
     run = recorded(np.repeat(np.arange(0, 61, 5), 6), {})
-    # Below the truth: a threshold beyond the last angle responds to nothing.
+    # The initial guesses are below the true values, because a threshold beyond the last angle has
+    # no effect.
     start = {path: 0.5 * value for path, value in truth.items()}
     result = fit(model_for([run]), run, start=start)
     assert result.status == "converged"
@@ -135,7 +142,7 @@ def test_alpha_and_beta_come_back_from_50_percent_off():
 
 @pytest.mark.slow
 def test_the_standard_errors_cover():
-    """Over many noises, well determined coefficients lie where their errors say."""
+    """Over many noise realisations, well-determined coefficients are within their errors."""
     paths = ("alpha.offset", "alpha.threshold", "alpha.curvature", "beta.curvature")
     truth = {path: float(giajax.get(JointModel(Joint()), path)) for path in paths}
     away = []
@@ -172,7 +179,7 @@ def test_an_impossible_geometry_is_a_failed_prediction():
     assert not bool(successful)
     assert jnp.isnan(predicted["force"][0])
     assert "D_x is not less than" in model.failure(inputs)
-    # A wire too short for the other side may be passed through, but is told.
+    # A wire that is too short for the other side is allowed on the way, but reported.
     short = JointModel(Joint(JointGeometry(wire_length=0.25)))
     assert bool(short.predict(inputs, ("force",))[1])
     assert "does not reach" in short.conditions(["geometry.wire_length"])[0]

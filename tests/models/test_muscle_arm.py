@@ -73,7 +73,7 @@ def test_each_key_changes_the_arm():
     assert arm_of({"links": 2, "muscles": "all"}).pneumatics.joints == (1, 2)
     for key, value in keys.items():
         assert not eqx.tree_equal(arm_of({"links": 2, "muscles": "pitch", key: value}), plain)
-        with pytest.raises(InputError, match=f"states {key}, but no joint has muscles"):
+        with pytest.raises(InputError, match=f"sets {key}, but no joint has muscles"):
             arm_of({"links": 2, key: value})
     with pytest.raises(InputError, match="pressure_limit"):
         arm_of({"links": 2, "muscles": "all", "parameters": {"muscle.pressure_limit": -1.0}})
@@ -99,12 +99,12 @@ def test_a_fit_frees_what_an_arm_can_tell():
 
 @eqx.filter_jit
 def commanded(drive, angles):
-    """Pressures of rows of angles (rad): one program in place of one for each operation."""
+    """Return the pressures for rows of angles (rad), by one program for all operations."""
     return jax.vmap(drive.commanded)(angles)
 
 
 def driven_run(measured=None, **changes):
-    """Pressures and a yaw command that go through stable angles of both sides."""
+    """Simulate pressures and a yaw command that lead through stable angles on both sides."""
     drive = arm_of(ARM).pneumatics
     knots = np.asarray([0.0, 1.0, 1.5, 6.0, 6.5, 11.0, 16.0])
     angles = [(0, 0), (0, 0), (35, 25), (35, 25), (50, -35), (25, -50), (40, -30)]
@@ -136,7 +136,7 @@ def test_muscles_are_fitted_beside_drag(off):
         estimate = result.free[path]
         assert abs(estimate.value - value) < 3 * estimate.standard_error, path
         assert estimate.standard_error < 0.06 * value, path
-    # One of them is the strength of the muscles.
+    # One of the scaled parameters is the strength of the muscles.
     assert any("per unit of mass" in sentence for sentence in result.conditions)
 
 
@@ -144,7 +144,7 @@ NECK = {"neck.radius": 0.045, "neck.length": 0.03, "joints.damping": 0.08}
 
 
 def bent_run(measured=None, **changes):
-    """Pressures that bend the joint of one link to and fro, past where a neck folds."""
+    """Simulate pressures that bend the joint of one link to and fro, until a neck folds."""
     section = {"links": 1, "muscles": "pitch", "parameters": {"neck.radius": 0.05}}
     times = np.linspace(0.0, 12.0, 121)
     angles = np.deg2rad([[0.0], [0.0], [35.0], [35.0], [-45.0], [-45.0], [30.0]])
@@ -159,7 +159,7 @@ def bent_run(measured=None, **changes):
 
 @pytest.mark.slow
 def test_a_fit_finds_the_neck_of_an_arm():
-    """From another radius, length and damping. One that muscles crush would respond to nothing."""
+    """Other initial guesses of radius, length and damping; muscles must not crush the neck."""
     blank, noise = bent_run(), float(np.deg2rad(0.5))
     exact = giajax.predict(replace(model_for([blank]), NECK), blank, ("joint01_angle",))
     assert np.ptp(np.rad2deg(exact["joint01_angle"])) > 80
@@ -187,13 +187,13 @@ def test_pressures_set_the_scale_only_by_the_strength_of_the_muscles():
     run = driven_run()
     model = model_for([run])
     (held,) = [c for c in model.conditions(["air.drag_coefficient"], [run]) if "muscle" in c]
-    assert "holds for muscle.effectiveness = 1, muscle.diameter = 0.0035 m" in held
+    assert "valid for muscle.effectiveness = 1, muscle.diameter = 0.0035 m" in held
     for strength in ("muscle.effectiveness", "muscle.diameter"):
         free = ["air.drag_coefficient", strength]
         (scaled,) = [c for c in model.conditions(free, [run]) if strength in c]
         assert "strength of muscles and damping together leaves the motion" in scaled
-        assert "held at links.mass" in scaled
-    # Scaled together they leave the motion unchanged.
+        assert "fixed by links.mass" in scaled
+    # Scaling these parameters together does not change the motion.
     paths = [path for path in (*SCALE, "muscle.effectiveness") if path in declared(model)]
     heavy = replace(model, {path: 2 * get(model, path) for path in paths}).arm
     angles, rates = jnp.asarray([[0.3, -0.2, 0.5], [0.1, 0.4, -0.2]])
@@ -212,7 +212,7 @@ def test_muscles_of_an_arm_that_floats_are_as_much_stronger_as_it_is_heavier(law
     ratio = float(floating.air.drag_coefficient / arm.air.drag_coefficient)
     assert ratio > 1.1
     own, other = arm.pneumatics.muscle, floating.pneumatics.muscle
-    # Force is proportional to one strength, and the other ones stay.
+    # The force is proportional to one strength parameter; the others are kept.
     at = (jnp.asarray(1e5), jnp.asarray(0.05), jnp.asarray(1.96))
     assert float(other.force(*at)) == pytest.approx(ratio * float(own.force(*at)))
 
@@ -239,7 +239,7 @@ muscles = "pitch"
 
 
 def test_the_commands_know_muscles(tmp_path, capsys):
-    """A run driven by pressures: made by angles first, simulated again, checked and listed."""
+    """A run with pressures is generated from angles, simulated again, checked and listed."""
     (tmp_path / "arm.toml").write_text(TOML)
     arm = Definition.load(tmp_path / "arm.toml")
     drive = arm_from_definition(arm).pneumatics

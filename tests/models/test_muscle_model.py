@@ -22,7 +22,7 @@ def test_it_predicts_the_law():
     for muscle in (BraidedMuscle(), EmpiricalMuscle()):
         expected = muscle_force(muscle, pressure, contraction)
         np.testing.assert_allclose(predict(MuscleModel(muscle), run)["force"], expected, rtol=1e-14)
-    # A position is a contraction of the length at rest.
+    # A position is a contraction of the resting length.
     moved = run_of({"pressure": pressure, "position": 1.5 * contraction, "force": np.zeros(3)})
     model = MuscleModel(BraidedMuscle(), length=1.5)
     np.testing.assert_allclose(
@@ -46,7 +46,7 @@ def test_friction_takes_from_the_force_while_filling():
 
 
 def test_friction_follows_the_motion():
-    """Both ways of giving the direction agree away from the turning points."""
+    """Both ways to specify the direction agree, except near the turning points."""
     times = np.linspace(0, 4, 401)
     position = 0.1 * (1 - np.abs((times % 2) - 1))  # in and out, twice
     pressure = np.full(401, 2e5)
@@ -63,7 +63,7 @@ def test_friction_follows_the_motion():
         np.testing.assert_allclose(
             friction[sliding], -own * 0.7 * np.sign(velocity[sliding]), rtol=1e-9
         )
-        # Dry friction does no work for nothing: the loop dissipates.
+        # Dry friction must dissipate energy over the loop.
         assert np.all(np.abs(friction) <= 0.7 * (1 + 1e-12))
         work = -own * np.sum(friction[1:] * np.diff(position))
         assert work > 0
@@ -74,7 +74,7 @@ def test_half_widths_are_linear_between_their_pressures():
     friction = giajax.replace(friction, {"half_width[0]": 2.0, "half_width[1]": 6.0})
     widths = friction.width(np.array([0.5e5, 1e5, 2e5, 3e5, 9e5]))
     np.testing.assert_allclose(widths, [2, 2, 4, 6, 6])
-    with pytest.raises(InputError, match="pressures of friction do not increase"):
+    with pytest.raises(InputError, match="friction pressures do not increase"):
         Friction.at_pressures((3e5, 1e5))
 
 
@@ -111,7 +111,7 @@ def test_the_sidecar_states_the_muscle_and_comes_back():
         (
             {"pressure": [1e5], "position": [0.1], "force": [1.0]},
             {"law": "piston"},
-            "friction needs the direction",
+            "friction requires the direction",
         ),
         ({"pressure": [np.nan, 1e5], "contraction": [0.1] * 2, "force": [1.0] * 2}, {}, "is empty"),
     ],
@@ -152,16 +152,16 @@ def cylinder(section=None):
 
 @pytest.mark.slow
 def test_the_bore_of_a_real_cylinder():
-    """Four pressures jointly: bore within 0.5 % of 25.7 mm, and friction that grows."""
+    """Fit of four pressures: bore within 0.5 % of 25.7 mm, and friction that increases."""
     start = {"muscle.bore": 0.04, "friction.half_width": 2.0, "friction.presliding": 1e-3}
     widths = {}
     for pressure, expected in (
         ("measured", [4.6, 5.75, 6.95, 7.6]),
-        # The whole loop at the pressure that was set.
+        # The whole loop at the set pressure.
         ("mean", [7.0, 8.5, 10.0, 12.0]),
     ):
         runs = cylinder({"pressure": pressure})
-        # Friction that the model does not have is left, with a memory, and is no noise.
+        # The residuals are correlated friction effects that the model omits, not noise.
         result = fit(model_for(runs), runs, start=start, noise_model="white")
         assert result.status == "converged"
         found = {path: estimate.value for path, estimate in result.free.items()}
@@ -170,7 +170,7 @@ def test_the_bore_of_a_real_cylinder():
         np.testing.assert_allclose(widths[pressure], expected, rtol=0.06)
         assert np.all(np.diff(widths[pressure]) > 0)
         assert result.gradient_check.relative_difference < 1e-6
-    # What the gauge shows in the loop is 2 to 4 N of it: the regulator, not the seal.
+    # The pressure variation at the gauge causes 2 to 4 N of the loop, due to the regulator.
     swing = [np.pi / 4 * 25.7e-3**2 * np.std(run.values["pressure"]) for run in cylinder()]
     np.testing.assert_allclose(widths["mean"] - widths["measured"], swing, rtol=0.2)
 

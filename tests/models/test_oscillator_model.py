@@ -1,4 +1,4 @@
-"""Runs of an oscillator: what they need, what is between their rows, and files of version 0.1."""
+"""Runs of an oscillator: requirements, interpolation between rows, and files of version 0.1."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def test_times_and_even_samples_are_needed():
         Run.from_arrays(None, STILL, definition={"model": "oscillator"})
     model = OscillatorModel(interpolation="band_limited")
     uneven = Run.from_arrays([0.0, 1.0, 1.5], STILL, definition={"model": "oscillator"})
-    with pytest.raises(InputError, match=r"not sampled evenly.*state \"linear\" in \[oscillator\]"):
+    with pytest.raises(InputError, match=r"not sampled evenly.*= \"linear\" in \[oscillator\]"):
         model.prepare(uneven)
     with pytest.raises(InputError, match="hysteresis model: give a run of the oscillator model"):
         model.prepare(Run.from_arrays([0.0, 1.0, 2.0], STILL))
@@ -30,7 +30,7 @@ def test_times_and_even_samples_are_needed():
 
 
 def driven(samples, interpolation):
-    """Its response to two sines, of a period of 0.4 s, in some rows."""
+    """Return the response to two sines with a common period of 0.4 s, at several rows."""
     times = np.arange(samples) * 0.4 / samples
     force = 60 * np.cos(2 * np.pi * 35 * times) + 20 * np.sin(2 * np.pi * 80 * times)
     values = {"input": force, "output": np.zeros(samples)}
@@ -41,11 +41,11 @@ def driven(samples, interpolation):
 
 @pytest.mark.slow
 def test_a_band_limited_force_is_followed_between_the_rows():
-    """Few rows of one period say as much as many."""
+    """A few rows of one period give the same response as many."""
     fine = driven(3200, "linear")[::16]
     coarse = driven(200, "band_limited")
     assert np.max(np.abs(coarse - fine)) < 2e-3 * np.max(np.abs(fine))
-    # Which straight lines between so few rows are not good for.
+    # Linear interpolation between so few rows is inaccurate.
     assert np.max(np.abs(driven(200, "linear") - fine)) > 1e-2 * np.max(np.abs(fine))
 
 
@@ -60,7 +60,7 @@ OLD = {
 
 
 def test_a_sidecar_of_version_0_1_is_read(tmp_path):
-    """There the oscillator was an operator of hysteresis; a fit definition named only the model."""
+    """In that version, the oscillator was a hysteresis operator, and only the fit named a model."""
     path = tmp_path / "run.csv"
     path.write_text("time_s,input_N,output_m\n0,0,0\n1,1,0\n2,0,0\n")
     Definition.parse(OLD)
@@ -90,7 +90,7 @@ def test_a_result_of_version_0_1_is_read():
 
 @pytest.mark.slow
 def test_a_mass_is_found():
-    """From a start that is off; the offset is free as well."""
+    """The initial guess is wrong, and the offset is free, too."""
     times = np.arange(300) / 750
     force = 50 * np.sin(2 * np.pi * (15 + 30 * times) * times)
     truth = replace(OscillatorModel(), {"mass": 2.3, "offset": 1e-4})

@@ -1,4 +1,4 @@
-"""Cameras with a lens: OpenCV's own pixels, the way back, derivatives, poses, and a bent arm."""
+"""Cameras with a lens: pixels of OpenCV, inversion, derivatives, poses, and a bent arm."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ from giajax.models import NEAR, Pinhole, build_model, model_for
 from giajax.schema.parameters import declared, left_out
 
 OPENCV = json.loads(Path(__file__).with_name("opencv_projections.json").read_text())
-# The camera's own axes, right, down and forwards, seen from an unturned camera: along -y, -z, x.
+# Axes of an unrotated camera in the base frame: right is -y, down is -z, forwards is x.
 UNTURNED = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 LENS = [-0.2, 0.05, 0.003, -0.002, -0.004]
 
@@ -39,7 +39,7 @@ CHANNELS = ["side.link02_u", "side.link02_v", "side.tip_u", "tip.mark01_u", "tip
 
 
 def of_opencv(case):
-    """A camera with the pose and the matrix of OpenCV's: R p + t is a point before it."""
+    """Return a camera with OpenCV's pose and matrix: R p + t is a point in the camera frame."""
     turn = Rotation.from_rotvec(case["rvec"]).as_matrix()
     matrix = np.array(case["matrix"])
     return Pinhole(
@@ -75,7 +75,7 @@ def test_a_ray_goes_through_the_point_whose_pixel_it_is():
     random = np.random.default_rng(0)
     camera = Pinhole([1.0, 2.0, 3.0], [0.4, -1.1, 2.0], 900.0, 1.05, [960, 540], LENS)
     view = camera.view()
-    # To 40 degrees beside the optical axis, where this lens does not fold its picture over.
+    # Up to 40 degrees from the optical axis, where this distortion is monotone.
     before = np.concatenate([random.uniform(-0.6, 0.6, (40, 2)), np.ones((40, 1))], axis=1)
     towards = (before * random.uniform(1, 9, (40, 1))) @ np.asarray(view.axes).T
     rays = camera.rays(camera.project(jnp.array(np.asarray(view.centre) + towards)).pixels)
@@ -104,7 +104,7 @@ def test_derivatives_are_those_of_differences_also_behind_and_unturned():
         camera = Pinhole(values[:3], values[3:6], values[6], values[7], values[8:10], values[10:])
         return camera.project(points).pixels
 
-    # An unturned camera at the origin: the second half of the points is too near, or behind it.
+    # An unrotated camera at the origin. The second half of the points is too near or behind it.
     at = jnp.array([0, 0, 0, 0, 0, 0, 700.0, 1.1, 320, 240, *LENS])
     forward = jax.jit(jax.jacfwd(pixels))(at)
     assert jnp.all(jnp.isfinite(pixels(at)))
@@ -133,11 +133,11 @@ def test_a_point_that_passes_the_lens_has_no_jump():
 
 
 def oriented(angles, axes=("pitch", "yaw", "pitch", "yaw"), length=0.99):
-    """Frames and ends of the links by products of rotations: a reference without quaternions."""
+    """Return frames and ends of the links by products of rotations, without quaternions."""
     turn, end, frames, ends = np.eye(3), np.zeros(3), [], []
     for angle, axis in zip(angles, axes, strict=True):
         c, s = np.cos(angle), np.sin(angle)
-        # A positive pitch raises the arm: it turns x towards z.
+        # A positive pitch raises the arm, so it turns x towards z.
         pitch = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
         yaw = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         turn = turn @ (pitch if axis == "pitch" else yaw)
@@ -162,7 +162,7 @@ def test_a_camera_on_a_bent_arm_moves_with_its_link(mount):
     seen = camera.project(jnp.array(point), arm, jnp.array(angles))
     expected = 600 * np.array([0.4, -0.3]) / 2.5 + [320, 240]
     np.testing.assert_allclose(seen.pixels, expected, atol=1e-9)
-    # Whoever draws what it sees needs where it is.
+    # Drawing the picture requires the pose of the camera.
     view = camera.view(arm, jnp.array(angles))
     np.testing.assert_allclose(view.centre, centre, atol=1e-12)
     np.testing.assert_allclose(view.axes, axes, atol=1e-12)
@@ -173,14 +173,15 @@ def test_a_camera_on_a_bent_arm_moves_with_its_link(mount):
 
 @pytest.mark.slow
 def test_the_channels_are_what_each_camera_shows_of_the_motion():
-    """Each camera by its own clock, which is late by so much more than all are."""
+    """Each camera has its own clock, whose delay is added to the common delay."""
     late = giajax.replace(
         model_for([run_of()]), {"camera.delay": 0.1, "camera.side.delay": 0.1, "marker.up": 0.15}
     )
     seen = giajax.predict(late, run_of(), tuple(CHANNELS))
     motion = late.trajectory(late.prepare(run_of()))
     arm, sensors = late.arm, late.sensors
-    # Samples are 0.1 s apart: the states of two samples ago, and of one.
+    # The sampling interval is 0.1 s, so the cameras show the states of two samples and one sample
+    # ago.
     side, tip = sensors.camera.pinholes["side"], sensors.camera.pinholes["tip"]
     link = jnp.stack([sensors.marker.on_links(arm, row)[1] for row in motion.angles])
     np.testing.assert_allclose(
@@ -204,7 +205,7 @@ def test_parameters_of_a_camera_have_its_name_in_their_paths_and_come_back_from_
         np.testing.assert_allclose(giajax.get(again, path), giajax.get(model, path), rtol=1e-14)
     assert again.sensors.camera.pinholes["tip"].mount == "tip"
     assert again.sensors.camera.pinholes["side"].size == (1920, 1080)
-    # The middle of the picture, where nothing is said.
+    # The default principal point is the centre of the picture.
     np.testing.assert_array_equal(giajax.get(again, "camera.tip.centre"), [319.5, 239.5])
 
 
@@ -217,7 +218,7 @@ def test_what_leaves_the_picture_is_missing_and_what_was_behind_is_named():
     assert np.all(np.isfinite(again.values["side.link02_u"]))
     inside = again.values["tip.mark01_v"][shown]
     assert np.all((inside >= -0.5) & (inside <= 479.5))
-    # A camera that was entered as looking the other way.
+    # The given orientation of this camera is reversed.
     turned = {**SIDE, "rotation_deg": [0.0, 0.0, -95.0]}
     other = Run.from_arrays(
         TIMES,
@@ -237,14 +238,14 @@ def test_what_leaves_the_picture_is_missing_and_what_was_behind_is_named():
     ("channel", "cameras", "says"),
     [
         ("link02_u", {}, "no camera is described: add [camera.NAME]"),
-        ("top.link02_u", {"side": SIDE}, "must be side, so correct the name or give [camera.top]"),
+        ("top.link02_u", {"side": SIDE}, "must be side, so correct its name or add [camera.top]"),
         (
             "link02_u",
             {"side": SIDE, "tip": TIP},
-            "begin the name of the channel with the name of a camera, side or",
+            "begin the name of the channel with the name of a camera (side or",
         ),
-        ("side.mark02_v", {"side": SIDE}, "state its position in [landmark.mark02]"),
-        ("side.tip_u", {"side": {"mount": "room"}}, "[camera.side] does not state size_px"),
+        ("side.mark02_v", {"side": SIDE}, "position of the landmark in [landmark.mark02]"),
+        ("side.tip_u", {"side": {"mount": "room"}}, "[camera.side] has no size_px"),
         ("side.tip_u", {"side": {**TIP, "mount": "room", "rotation_deg": None}}, "rotation_deg"),
     ],
 )
@@ -272,10 +273,10 @@ def test_what_a_camera_must_say(channel, cameras, says):
         ({"camera": {"side": {"focal_length_px": -9.0}}}, "focal_length_px = -9.0"),
         ({"camera": {"side": {"mount": "link6"}}}, 'must be "room", "tip" or a link'),
         ({"camera": {"delay": {"mount": "tip"}}}, "has a camera 'delay'"),
-        ({"camera": {"a b": {"mount": "tip"}}}, "must have letters, digits and _"),
+        ({"camera": {"a b": {"mount": "tip"}}}, "must consist of letters, digits and _"),
         ({"camera": {"side": 3}}, "[camera.side] must be a table of keys"),
         ({"landmark": {"door": {"position_m": [0.0, 0.0, 0.0]}}}, "called mark01, mark02"),
-        ({"landmark": {"mark01": {}}}, "give mark01.position_m"),
+        ({"landmark": {"mark01": {}}}, "add mark01.position_m"),
     ],
 )
 def test_wrong_cameras_and_landmarks_are_one_sentence(sections, says):

@@ -1,4 +1,4 @@
-"""Scenes: what is seen of a model is where its equations put it."""
+"""Scenes: objects are drawn where the equations of the model place them."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ ANGLES = np.deg2rad([-60.0, -30.0, -2.0, 2.0, 10.0, 45.0])
 def test_links_go_from_joint_to_joint():
     arm = takeichi_20m(2, joint_axes="pitch_yaw", length=[2.0, 1.0], diameter=[0.4, 0.2])
     motion = simulate(arm, joint_steps(2, {1: 0.0}), jnp.linspace(0.0, 1.0, 3))
-    # The pose alone matters: joint 1 up by 30 deg, joint 2 to the left by 90 deg.
+    # Only the pose matters: joint 1 is at 30 deg upwards, joint 2 at 90 deg to the left.
     angles = jnp.broadcast_to(jnp.deg2rad(jnp.asarray([30.0, 90.0])), (3, 2))
     scene = arm_scene(dataclasses.replace(motion, angles=angles))
     assert [line.name for line in scene.lines] == ["link", "link"]
@@ -80,7 +80,7 @@ def test_a_muscle_is_as_long_as_its_path():
     lines = {line.name: line for line in scene.lines}
     path = muscle_path(geometry, jnp.asarray(ANGLES))
     np.testing.assert_allclose(lengths(lines["muscle"].points), path.length, rtol=1e-12)
-    # A wire that hangs deep is drawn as a bow that is somewhat too shallow.
+    # A wire with a large sag is drawn as an arc with a slightly smaller sag.
     drawn = lengths(lines["wire"].points)
     np.testing.assert_allclose(drawn[4:], 0.34, rtol=1e-12)
     np.testing.assert_allclose(drawn, 0.34, rtol=0.16)
@@ -88,7 +88,7 @@ def test_a_muscle_is_as_long_as_its_path():
     assert list(lines["wire"].loose) == [True, True, True, True, False, False]
     np.testing.assert_allclose(lines["wire"].points[:, 0], scene.markers["B"])
     np.testing.assert_allclose(lines["wire"].points[:, -1], scene.markers["D"])
-    # Letters of one side alone: the outer muscle has no A, the inner one no M.
+    # Points that exist on one side only: the outer muscle has no A, the inner one no M.
     there = {name: np.isfinite(points[:, 0]).tolist() for name, points in scene.markers.items()}
     assert there["A"] == there["H"] == [False] * 3 + [True] * 3
     assert there["M"] == there["P"] == [True] * 3 + [False] * 3
@@ -127,7 +127,7 @@ def test_parts_that_do_not_fit_together_are_refused():
 
 
 def test_muscles_lie_on_both_sides_of_their_joint():
-    """The first on the side to which a positive angle bends, and shorter then."""
+    """The first muscle is on the side to which a positive angle bends, and is then shorter."""
     arm = takeichi_20m(2, muscles=[2], joint_axes="pitch_yaw", length=2.0, diameter=0.4)
     angles = jnp.asarray([[0.3, 0.0], [0.3, 0.5]])
     motion = simulate(arm, joint_steps(2, {}), jnp.asarray([0.0, 1e-3]))
@@ -137,7 +137,7 @@ def test_muscles_lie_on_both_sides_of_their_joint():
     for line, side in ((first, 1.0), (second, -1.0)):
         assert_allclose(np.linalg.norm(line.points[:, 1] - joint, axis=1), 0.2)
         assert_allclose(line.points[0, 1] - joint[0], [0.0, 0.2 * side, 0.0], atol=1e-12)
-        # At its ends on the skin of the links, a quarter of their length from the joint.
+        # Its ends are on the skin of the links, a quarter of their length from the joint.
         for link, end in ((scene.lines[0], 0), (scene.lines[1], 2)):
             along = link.points[1, 1] - link.points[1, 0]
             place = (line.points[1, end] - link.points[1, 0]) @ along / 2.0
@@ -164,7 +164,7 @@ def test_forces_are_those_of_the_air_and_of_what_is_touched():
     expected = drag_force(arm, jnp.zeros(2), jnp.zeros(2), jnp.asarray(wind))
     assert_allclose(air.vectors[0], expected, atol=1e-12)
     assert_allclose(air.origins[0], [[0.5, 0.0, 0.0], [1.5, 0.0, 0.0]], atol=1e-12)
-    # Each link is pressed in by 5 cm: upwards.
+    # Each link is indented by 5 cm, so the force is upwards.
     assert contact.vectors[0, :, 2].min() > 1.0
     assert_allclose(contact.vectors[0], contacts(motion).force[0, :, 0])
     (block,) = scene.blocks

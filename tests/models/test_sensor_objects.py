@@ -1,4 +1,4 @@
-"""Sensors as objects: IMUs and inclinometers in closed form, and those of one's own."""
+"""Sensors as objects: closed forms of IMUs and inclinometers, and user-defined sensors."""
 
 import dataclasses
 import functools
@@ -35,7 +35,7 @@ GRAVITY = 9.80665
 
 
 def moving(arm, angles, rates=None, **changes):
-    """An arm at an instant, with the command of its angles."""
+    """Return an arm at an instant, with a command equal to its angles."""
     motion = at_rest(arm, jnp.asarray(angles, float))
     if rates is not None:
         changes["rates"] = jnp.asarray(rates, float)[None]
@@ -43,7 +43,7 @@ def moving(arm, angles, rates=None, **changes):
 
 
 def bent(links=3, **changes):
-    """An arm that is bent, turns in every joint and has all kinds of forces."""
+    """Return a bent arm that moves in every joint and has all kinds of forces."""
     arm = giajax.takeichi_20m(links)
     arm = giajax.replace(arm, {"gravity": GRAVITY, "base_rotation": [0.1, -0.2, 0.3], **changes})
     rng = np.random.default_rng(5)
@@ -51,7 +51,7 @@ def bent(links=3, **changes):
 
 
 def held():
-    """A horizontal link that its spring holds up, at rest."""
+    """Return a horizontal link at rest, held by its spring."""
     arm = giajax.takeichi_20m(1, parameters={"gravity": GRAVITY})
     load = giajax.mechanics.arm.inverse_dynamics(arm, *[jnp.zeros(1)] * 3)
     command = load / arm.spring_stiffness
@@ -63,7 +63,7 @@ def test_at_rest_an_accelerometer_shows_g_upwards_and_a_gyroscope_nothing():
     assert np.allclose(motion.accelerations, 0, atol=1e-12)
     assert np.allclose(Accelerometer().values(motion), [[[0, 0, GRAVITY]]], atol=1e-12)
     assert np.allclose(Gyroscope().values(motion), 0)
-    # A pendulum that hangs: upwards is back along the link.
+    # In a hanging pendulum, upwards is backwards along the link.
     hanging = moving(giajax.pendulum(1), [0.0])
     assert np.allclose(Accelerometer().values(hanging), [[[-GRAVITY, 0, 0]]], atol=1e-9)
     assert np.allclose(Inclinometer().values(hanging), -np.pi / 2)
@@ -139,7 +139,7 @@ def test_the_tension_of_what_hangs_is_the_weight_below_it():
     motion = moving(giajax.pendulum(3, mass=[1.0, 2.0, 3.0]), [0.0, 0.0, 0.0])
     shown = TensionSensor(offset=0.5).values(motion)
     assert np.allclose(shown, [GRAVITY * np.array([6.0, 5.0, 3.0]) + 0.5], rtol=1e-12)
-    # What floats pulls upwards, and what stands is pressed together.
+    # Buoyancy gives tension, and standing weight gives compression.
     standing = giajax.takeichi_20m(
         2, gravity=GRAVITY, buoyancy=True, base_rotation=(0.0, -np.pi / 2, 0.0), mass=[0.02, 0.2]
     )
@@ -150,14 +150,14 @@ def test_the_tension_of_what_hangs_is_the_weight_below_it():
 
 
 def test_the_tension_of_a_pendulum_that_swings_is_its_closed_form():
-    """m (g cos q + l omega^2), q being the angle and l the distance of the centre of mass."""
+    """m (g cos q + l omega^2) with the angle q and the distance l of the centre of mass."""
     arm = giajax.pendulum(1, length=2.0, mass=1.5)
     shown = TensionSensor().values(moving(arm, [0.7], [3.0]))
     assert np.allclose(shown, 1.5 * (GRAVITY * np.cos(0.7) + 1.0 * 3.0**2), rtol=1e-12)
 
 
 def test_the_force_of_a_joint_is_that_of_newton_on_what_is_beyond_it():
-    """From second differences of the centres of mass, drag, lift, and what obstacles press."""
+    """From second differences of the centres of mass, drag, lift, and contact forces."""
     ground = giajax.mechanics.obstacles.Plane(centre=[0.0, 0.0, -0.1])
     arm = giajax.takeichi_20m(
         3,
@@ -218,7 +218,7 @@ SHIPPED = {
 
 
 def test_derivatives_are_those_of_differences_at_rest_too():
-    """Of each sensor by its own parameters, by a spring of the arm, and by its motion."""
+    """By the sensor's own parameters, by a spring of the arm, and by the motion."""
 
     def shown(changes, sensors):
         stiffness, angles, rates = changes
@@ -308,14 +308,14 @@ def test_tension_and_curvature_are_columns(tmp_path):
 
 @pytest.fixture
 def own_rows():
-    """Rows that a test registers are gone after it."""
+    """Remove the rows that a test registers."""
     arm = KINDS["arm"]
     yield
     add_kind(arm)
 
 
 def gauge(name="Gauge", row=("gauge", "gaugeNN", "ratio", "output"), **body):
-    """A class of sensors that is registered by nobody yet."""
+    """Return a class of sensors that is not registered yet."""
     body = {"values": lambda self, motion: motion.torques, **body}
     return type(
         name, (AbstractSensor,), {"__module__": "gauges", "channel": ChannelKind(*row), **body}
@@ -323,7 +323,7 @@ def gauge(name="Gauge", row=("gauge", "gaugeNN", "ratio", "output"), **body):
 
 
 class Late(AbstractSensor):
-    """Angles of the joints, a moment late."""
+    """Joint angles with a delay."""
 
     channel = ChannelKind("late_angle", "jointNN_late", "angle", "output")
     delay: jax.Array = parameter(0.25, unit="s", doc="how late")
@@ -340,7 +340,7 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         "joint01_command": np.sin(times),
         "joint01_late": np.zeros(41),
         "joint01_angle": np.zeros(41),
-        # A camera may be called as a row is, and has its own clock.
+        # A camera may have the name of a row, and has its own clock.
         "late_angle.tip_u": np.zeros(41),
     }
     lens = {"size_px": [640, 480], "focal_length_px": 500.0, "mount": "room"}
@@ -363,13 +363,13 @@ def test_a_sensor_with_a_delay_shows_what_was_so_much_earlier():
         (gauge(row=("gauge", "gaugeNN", "ratio", "input")), "ChannelKind with the part .output."),
         (
             gauge(row=("tip_position", "tip_x", "length", "output")),
-            "of Gauge is already that of giajax",
+            "of Gauge already belongs to giajax",
         ),
         (
             gauge(row=("imu_rate", "imuNN_gyro_x", "angle", "output")),
-            "is already that of gyroscope",
+            "already belongs to gyroscope",
         ),
-        (gauge(row=("gauge", "tip_x", "ratio", "output")), "there already is a channel tip_x"),
+        (gauge(row=("gauge", "tip_x", "ratio", "output")), "a channel tip_x already exists"),
         (
             gauge(row=("gauge", "gauge(", "ratio", "output")),
             r"the channel gauge\( is not a valid name",
@@ -403,7 +403,7 @@ def test_a_cell_that_is_run_again_with_another_row_takes_its_former_one_away():
         assert [each.name for each in KINDS["arm"].channels[len(before) :]] == [row]
     with pytest.raises(InputError, match="'once01' is not in the column table"):
         parse_column("once01")
-    # Another sensor may have the former row now.
+    # Another sensor may now use the former row.
     giajax.register(gauge("Other", ("once", "onceNN", "ratio", "output")))
     assert Sensors().with_rows(["once"]).sensor.keys() == {"Other"}
 
@@ -420,12 +420,10 @@ def test_a_sensor_that_no_result_could_name_is_refused():
         model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=sensors)
         if value == 1:
             assert model.definition()["sensors"]["own"] == {"Power": {}}
-    with pytest.raises(InputError, match="sensor Power has power = 2, which no file can state"):
+    with pytest.raises(InputError, match="sensor Power has power = 2, which cannot be written"):
         model.definition()
     model = giajax.ArmModel(giajax.takeichi_20m(2), sensors=Sensors(sensor={"Gauge": gauge()()}))
-    with pytest.raises(
-        InputError, match="there is no registered sensor Gauge, so that a result could"
-    ):
+    with pytest.raises(InputError, match="there is no registered sensor Gauge, so a result could"):
         model.definition()
 
 

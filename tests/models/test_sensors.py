@@ -1,4 +1,4 @@
-"""Sensors between the motion and its recording: known transformations, derivatives, a fit."""
+"""Sensors between motion and recording: known transformations, derivatives, a fit."""
 
 import equinox as eqx
 import jax
@@ -62,7 +62,7 @@ NEUTRAL = {
 
 
 def with_all_sensors(**changes):
-    """A model whose sensors are all there, and change nothing but for these: one program."""
+    """Return a model with all sensors at neutral values except these, which shares one program."""
     return model(**NEUTRAL | changes)
 
 
@@ -101,7 +101,7 @@ def test_scale_acts_on_what_is_seen_from_the_origin(plain):
     expected = 2 * (points(plain) - [0.1, 0.2, -0.3]) * [1, -1, -1]
     np.testing.assert_allclose(points(seen), expected, atol=1e-12)
     np.testing.assert_allclose(seen["tip_z"], -2 * (plain["tip_z"] + 0.3), atol=1e-12)
-    # The same but for rounding: with a camera it is another program.
+    # Equal except for rounding, because a model with a camera is another program.
     np.testing.assert_allclose(seen["joint01_angle"], plain["joint01_angle"], rtol=1e-12)
 
 
@@ -133,13 +133,13 @@ def test_angle_sensors_have_a_zero_and_a_scale(plain):
     seen = giajax.predict(model(**changes), run_of(), EVERYTHING)
     np.testing.assert_allclose(seen["joint01_angle"], 1.5 * plain["joint01_angle"] + 0.1)
     np.testing.assert_allclose(seen["joint02_rate"], 1.5 * plain["joint02_rate"] + 0.3)
-    # Absolute angles are sums of what the joints' sensors show.
+    # Absolute angles are sums of the measured joint angles.
     np.testing.assert_allclose(seen["link03_angle"], 1.5 * plain["link03_angle"] + 0.7, atol=1e-12)
     np.testing.assert_array_equal(seen["link03_z"], plain["link03_z"])
 
 
 def test_a_state_in_the_first_row_is_free_of_what_a_gyroscope_shows_at_rest():
-    """The rate there is the recorded one less the offset, over the scale."""
+    """The initial rate is the recorded one minus the offset, divided by the scale."""
     values = {"joint01_angle": [0.4, 0.4], "joint01_rate": [0.5, 0.5]}
     about = {"arm": {"preset": "pendulum", "links": 1}, "initial": {"first_row": True}}
     run = Run.from_arrays([0.0, 0.1], values, definition=about)
@@ -160,7 +160,7 @@ def test_a_first_row_whose_angle_was_lost_begins_on_the_line_of_the_next_ones():
 
 @pytest.mark.slow
 def test_a_late_camera_shows_what_was(plain):
-    """Two samples late: the same values two rows later, and at first the arm at rest."""
+    """With a delay of two samples, values appear two rows later; initially, the arm is at rest."""
     late = giajax.predict(with_all_sensors(**{"camera.delay": 0.2}), run_of(), EVERYTHING)
     for name in ("link03_z", "tip_y"):
         np.testing.assert_allclose(late[name][2:], plain[name][:-2], atol=1e-7)
@@ -179,7 +179,7 @@ def test_clocks_of_camera_and_encoder_are_their_own(plain):
 
 @pytest.mark.slow
 def test_an_early_clock_goes_on_beyond_the_end():
-    """With the last command: as a run that lasts longer does."""
+    """Beyond the end, the last command is held, as in a longer run."""
     longer = np.linspace(0.0, 4.3, 44)
     command = {name: np.interp(longer, TIMES, row) for name, row in COMMAND.items()}
     more = Run.from_arrays(
@@ -193,24 +193,24 @@ def test_an_early_clock_goes_on_beyond_the_end():
 
 @pytest.mark.slow
 def test_a_slow_clock_stretches_what_is_seen_from_the_first_sample_on():
-    """Its samples are those of the times that they were taken at, beyond the last stamp, too."""
+    """The samples are those of the actual exposure times, including those after the last stamp."""
     rate, longer = 0.04, np.linspace(0.0, 4.2, 421)
     command = {name: np.interp(longer, TIMES, row) for name, row in COMMAND.items()}
     more = Run.from_arrays(
         longer, {**command, "tip_z": 0 * longer}, definition={"arm": {"links": LINKS}}
     )
     finely = giajax.predict(model(), more, ("tip_z", "joint01_angle"))
-    taken = 0.1 + TIMES[1:-1] * (1 + rate)  # late by -0.1 s
+    taken = 0.1 + TIMES[1:-1] * (1 + rate)  # with a delay of -0.1 s
     slow = {"camera.clock_rate": rate, "camera.delay": -0.1}
     seen = giajax.predict(with_all_sensors(**slow), run_of(), EVERYTHING)
     expected = CubicSpline(longer, finely["tip_z"])(taken)
     np.testing.assert_allclose(seen["tip_z"][1:-1], expected, atol=1e-5)
-    # The other clock is right.
+    # The clock of the joint sensors is exact.
     np.testing.assert_allclose(seen["joint01_angle"], finely["joint01_angle"][:401:10], atol=1e-6)
 
 
 def test_before_the_run_a_moving_arm_moves_on(plain):
-    """With the rates of its first sample, which is right to the first order."""
+    """The motion is extrapolated with the initial rates, which is exact to first order."""
     moving = run_of(initial={"angle_deg": 5.0, "rate_deg_per_s": 20.0})
     late = model(**{"encoder.delay": 0.15})
     angles = giajax.predict(late, moving, ("joint01_angle",))["joint01_angle"]
@@ -224,7 +224,7 @@ ELEMENTS = [(path, i) for path in EACH for i in range(np.size(EACH[path]))]
 
 @pytest.fixture(scope="module")
 def recording():
-    """What is recorded with all sensors switched on, of all their values in one row."""
+    """Return the recording with all sensors enabled, as a function of a vector of their values."""
     base, inputs = model(**EACH), model().prepare(run_of())
     ends = np.cumsum([np.size(value) for value in EACH.values()])[:-1]
 
@@ -242,12 +242,12 @@ def recording():
 @pytest.mark.slow
 @pytest.mark.parametrize("where", [NEUTRAL, EACH], ids=["neutral", "elsewhere"])
 def test_derivatives_by_every_parameter_are_those_of_differences(recording, where):
-    """From where they change nothing, the arm at rest, and with all of them at work."""
+    """Once at the neutral values with the arm at rest, and once with all sensors active."""
     table, jacobian = recording
     row = np.concatenate([np.ravel(where[path]) for path in EACH])
     derivatives = jacobian(jnp.asarray(row))
     for index, (path, _) in enumerate(ELEMENTS):
-        # Samples of a right clock lie on corners of the command, where the jerk jumps.
+        # Samples of an exact clock are at corners of the command, where the jerk is discontinuous.
         h = 1e-6 if path.endswith(("delay", "clock_rate")) else 1e-4
         step = np.zeros(len(row))
         step[index] = h
@@ -320,7 +320,7 @@ def test_the_rate_of_a_clock_is_found_together_with_the_drag_coefficient():
 
 @pytest.mark.slow
 def test_a_camera_frame_is_found_as_often_as_its_errors_say():
-    """Of many draws of the noise, 95 % of the estimates are within 2 standard errors."""
+    """Over many noise realisations, 95 % of the estimates are within 2 standard errors."""
     truth = model(**TRUE_FRAME)
     blank = dict.fromkeys(CHANNELS, np.zeros_like(TIMES))
     run = Run.from_arrays(TIMES, {**COMMAND, **blank}, definition={"arm": {"links": LINKS}})
@@ -341,7 +341,7 @@ def test_a_camera_frame_is_found_as_often_as_its_errors_say():
 
 @pytest.mark.slow
 def test_a_camera_frame_that_is_ignored_spoils_the_fit():
-    """What the sensors are for: without them the residuals say that something is wrong."""
+    """Without the parameters of the camera, the residuals show that something is wrong."""
     run = recorded(**TRUE_FRAME)
     result = giajax.fit(model_for([run]), run, free=["air.drag_coefficient"], check=False)
     assert result.reduced_chi_square > 20
@@ -349,7 +349,7 @@ def test_a_camera_frame_that_is_ignored_spoils_the_fit():
 
 @pytest.mark.slow
 def test_what_a_planar_recording_cannot_tell_of_the_frame_is_named():
-    """Heights of a motion in pitch: no turn about x or z, no shift along x or y shows."""
+    """From heights in a pitch motion, rotations about x or z and shifts along x or y are hidden."""
     planar = {"joint01_command": COMMAND["joint01_command"]}
     run = recorded(("link01_z", "link02_z", "link03_z"), planar)
     free = ["camera.rotation", "camera.origin", "air.drag_coefficient"]
@@ -363,7 +363,7 @@ def test_what_a_planar_recording_cannot_tell_of_the_frame_is_named():
 
 @pytest.mark.slow
 def test_the_turn_of_base_and_camera_are_one():
-    """Without gravity and wind only the turn of the arm against the camera is determined."""
+    """Without gravity and wind, only the rotation of the arm relative to the camera matters."""
     run = recorded(**TRUE_FRAME)
     result = giajax.fit(
         model_for([run]), run, free=["camera.rotation", "base_rotation"], check=False
@@ -410,7 +410,7 @@ def test_each_key_of_the_section_changes_the_prediction(key):
     prefixes = {"camera": ("link", "tip"), "marker": ("link", "tip"), "encoder": ("joint",)}
     assert changed
     assert all(name.startswith(prefixes[key.partition("_")[0]]) for name in changed)
-    # Through its stored form the model is the same.
+    # The stored form gives the same model.
     again = build_model("arm", stated.definition(), parameter_values(stated))
     assert eqx.tree_equal(again, stated, rtol=1e-14, atol=1e-15)
 
@@ -437,7 +437,7 @@ def test_lists_of_another_length_are_refused():
 
 def test_what_the_sensors_are_conditional_on_is_said():
     sentences = model(**EACH).conditions(["camera.scale", "camera.delay", "encoder.offset"], [])
-    assert any(s.startswith("camera.scale: holds for links.length = 0.99 m") for s in sentences)
+    assert any(s.startswith("camera.scale: valid for links.length = 0.99 m") for s in sentences)
     assert any(s.startswith("camera.delay: relative to the clock") for s in sentences)
     assert any(s.startswith("encoder.offset: relative to") for s in sentences)
     assert model(**EACH).conditions(["camera.rotation[0]"], []) == []
@@ -457,7 +457,7 @@ def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
 
 
 def test_no_channel_is_parsed_inside_a_trace(monkeypatch):
-    """Names are parsed once, where a run is prepared, and looked up while its program is traced."""
+    """Names are parsed once, when a run is prepared, and looked up while the program is traced."""
     some, inputs = model(), model().prepare(run_of())
 
     def parsed(name):

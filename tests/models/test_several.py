@@ -1,4 +1,4 @@
-"""Several models in one fit: against closed forms. `test_whole_arm` fits an arm and a bench."""
+"""Several models in one fit, against closed forms; `test_whole_arm` fits an arm and a bench."""
 
 import dataclasses
 from typing import ClassVar
@@ -62,7 +62,7 @@ class Line(Toy):
 
 
 class Metres(Line):
-    """The same path with another unit."""
+    """A model with the same path but another unit."""
 
     amplitude: Scalar = parameter(1.0, unit="m/s", doc="size")
 
@@ -80,7 +80,7 @@ def recordings():
 
 
 def design():
-    """Rows of both runs by amplitude, offset and drift, in units of the noise."""
+    """Return the derivatives by amplitude, offset and drift, divided by the noise."""
     ones, zeros = np.ones_like, np.zeros_like
     wave = np.stack([np.exp(-TIMES), ones(TIMES), zeros(TIMES)], axis=1)
     line = np.stack([INPUTS, zeros(INPUTS), ones(INPUTS)], axis=1)
@@ -88,7 +88,7 @@ def design():
 
 
 class Own(Metres):
-    """A kind of one's own, whose definition has keys of any name."""
+    """A user-defined kind, whose definition has keys with any names."""
 
     kind: ClassVar[str] = "own"
 
@@ -153,7 +153,7 @@ def test_each_recording_is_worth_what_is_lost_without_it(fitted):
     assert fitted.parameters["drift"].sources["line"] is None
     said = summary(fitted)
     assert "wave: only source of information on offset" in said
-    assert "line: only source of information on drift; factor on the errors" in said
+    assert "line: only source of information on drift; factor by which errors" in said
 
 
 def test_what_one_recording_determines_has_no_sources(runs):
@@ -163,12 +163,12 @@ def test_what_one_recording_determines_has_no_sources(runs):
 
 
 def test_runs_without_a_common_parameter_are_refused(runs):
-    with pytest.raises(InputError, match="no free parameter is shared by"):
+    with pytest.raises(InputError, match="share no free parameter"):
         set_up(SeveralModels((Wave(), Line())), runs, free=["offset", "drift"])
     set_up(SeveralModels((Wave(), Line())), runs, free=["drift"], ties={"offset": "2 * drift"})
 
 
-# An arm whose joints remember, and a loop of one of these joints on a bench: torque over angle.
+# An arm with hysteresis, and the torque versus angle of one of its joints on a test bench.
 TORQUE = {"joints.memory.strength": 0.08, "joints.memory.yield_angle": 0.02}
 ARM = {**TORQUE, "joints.pitch_stiffness": 2.6, "air.drag_coefficient": 1.1}
 TIES = {
@@ -179,7 +179,7 @@ TIES = {
 
 
 def bench_and_arm(folder):
-    """Files of a loop and of a motion, from models with the same numbers."""
+    """Write files of a loop and of a motion, simulated with the same values."""
     random = np.random.default_rng(7)
     angle = np.concatenate([np.linspace(a, b, 40) for a, b in ((0, 0.3), (0.3, -0.3), (-0.3, 0.2))])
     about = {
@@ -251,7 +251,7 @@ def test_a_channel_of_no_run_is_refused(files):
     for name in ("force", "nothing"):
         with pytest.raises(InputError, match=f"'{name}' is not a common channel of these runs"):
             read_runs(files, Definition.parse({"fit": {"channels": [name]}}))
-    # A run of the validation may be of one of the models alone.
+    # A validation run may belong to only one of the models.
     asked = Definition.parse({"fit": {"channels": ["tip_z"], "window_s": 2.0}})
     both = read_runs(files, Definition())
     (loop,) = read_runs(files[:1], asked, beside=both)
@@ -259,7 +259,7 @@ def test_a_channel_of_no_run_is_refused(files):
 
 
 def test_a_few_rows_beside_many_are_no_obstacle(runs):
-    """A recording with fewer rows than parameters, and one that shares nothing with another."""
+    """One recording has fewer rows than parameters, and one shares no parameter with another."""
     wave, line = runs
     short = Run.from_arrays(
         None, {key: values[:1] for key, values in line.values.items()}, name="short",

@@ -1,4 +1,4 @@
-"""Verdicts on residuals whose origin is known."""
+"""Verdicts on residuals with a known origin."""
 
 import dataclasses
 from collections import Counter
@@ -12,7 +12,7 @@ SIGMA = 0.01
 
 
 def residuals(rng, *, samples=250, channels=3, runs=1, stated=True, memory=False, add=None):
-    """Series of white noise, or of noise whose memory is stated, after a fit of four columns."""
+    """Return series of white noise, or of stated correlated noise, after a fit of four columns."""
     times = np.arange(samples) * 0.1
     u = times / times[-1]
     columns = np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.ones(samples)], axis=1)
@@ -59,7 +59,7 @@ def residuals(rng, *, samples=250, channels=3, runs=1, stated=True, memory=False
     ids=["stated", "not stated", "short", "runs", "with a memory"],
 )
 def test_noise_alone_is_seldom_accused(case):
-    """At most 2 % of 300: 14 or more of them have a chance below 1 %."""
+    """At most 2 % of 300; the probability of 14 or more is below 1 %."""
     rng = np.random.default_rng(0)
     wrong = [judge(residuals(rng, **case), robust=False) for _ in range(300)]
     codes = Counter(reason.code for verdict in wrong for reason in verdict.reasons)
@@ -72,13 +72,13 @@ def test_noise_that_is_stated_far_too_large_is_no_proof_of_a_model(factor):
     stated = ChannelNoise(factor * SIGMA)
     series = [dataclasses.replace(each, stated=stated) for each in residuals(rng)]
     found = judge(series, robust=False)
-    if factor < 3:  # as cautious as data sheets
+    if factor < 3:  # data sheets are as cautious as this
         assert found.status == "adequate"
         return
     (reason,) = found.reasons
     assert (found.status, reason.code) == ("doubtful", "too_small")
     assert reason.size == pytest.approx(factor, rel=0.2)
-    assert "times smaller than the stated noise" in reason.sentence
+    assert "times the residuals, so the stated noise or the unit" in reason.sentence
     one = [*residuals(rng)[1:], series[0]]
     assert [reason.channels for reason in judge(one, robust=False).reasons] == [("link00_z",)]
 
@@ -108,7 +108,7 @@ def test_missing_physics_is_seen(stated, code, add):
 
 @pytest.mark.quick
 def test_noise_that_the_residuals_adopt_does_not_hide_a_wrong_model():
-    """The deviation is estimated, chi-square is 1, and second differences tell."""
+    """The estimated deviation makes chi-square 1, but second differences detect the wrong model."""
     (found,) = [
         reason
         for reason in judge(
@@ -133,7 +133,7 @@ def test_more_white_noise_than_stated_is_a_reason():
 
 @pytest.mark.quick
 def test_significance_without_size_is_no_reason():
-    """One part in twenty more noise, in 40,000 cells: sure, and of no importance."""
+    """A noise excess of 5 % in 40,000 cells is significant, but unimportant."""
     rng = np.random.default_rng(4)
     verdict = judge(
         residuals(
@@ -170,7 +170,7 @@ def test_outliers_of_a_robust_fit_are_no_reason():
 
 @pytest.mark.quick
 def test_noise_that_a_few_cells_make_is_a_doubt_where_they_count_in_full():
-    """Of five glitches in a channel; not of noise with wide tails, nor where noise is stated."""
+    """Five glitches in a channel cause a doubt; heavy-tailed or stated noise does not."""
 
     def glitches(times, run, channel):
         return 2.0 * (np.arange(len(times)) % 50 == 25) * (channel == 1)
@@ -204,7 +204,7 @@ def test_white_noise_is_that_of_the_fit_unless_it_is_surely_more():
 
 
 def test_noise_that_was_resampled_is_not_that_of_a_few_cells():
-    """Every third cell was recorded, and what is between is on a line: no cell is a glitch."""
+    """Two of three cells are interpolated linearly, and no cell is a glitch."""
     rng = np.random.default_rng(8)
     recorded = SIGMA * rng.normal(size=401)
     rest = np.interp(np.arange(1201) / 3, np.arange(401), recorded) + 1e-9 * rng.normal(size=1201)
@@ -226,7 +226,7 @@ def test_too_few_cells_are_not_judged():
 
 @pytest.mark.quick
 def test_runs_may_differ_in_length_and_in_noise():
-    """A long run of much noise and a short one of little, each with noise of its own."""
+    """A long run with much noise and a short one with little, each with its own noise."""
     rng = np.random.default_rng(8)
     wrong = 0
     for _ in range(30):

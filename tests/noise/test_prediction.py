@@ -1,4 +1,4 @@
-"""What is held out of linear fits: against dense least squares; of right and wrong models."""
+"""Held-out data of linear fits: compared with dense least squares, for right and wrong models."""
 
 import numpy as np
 import pytest
@@ -23,14 +23,14 @@ def covariance(noise):
 
 
 def drawn(rng, *, noise=None, held=None, runs=2, channels=2, add=None):
-    """Recordings of a line and a decay that all share, with an offset and a slope of each run.
+    """Simulate recordings of a shared line and decay, with an offset and a slope of each run.
 
-    Residuals are those of some values of the parameters that are no optimum of anything.
+    The residuals belong to arbitrary parameter values, not to an optimum.
 
     Arguments:
-        noise: that is stated; None for white noise which is not.
-        held: by run and channel, the cells that are held out.
-        add: what the model lacks, by run and channel.
+        noise: stated noise; None for white noise that is not stated.
+        held: the held-out cells, by run and channel.
+        add: effects that the model omits, by run and channel.
     """
     factor = np.linalg.cholesky(covariance(noise or ChannelNoise(SIGMA)))
     shared = np.stack([np.exp(-TIMES), np.sin(TIMES), np.zeros(SAMPLES)], axis=1)
@@ -44,7 +44,7 @@ def drawn(rng, *, noise=None, held=None, runs=2, channels=2, add=None):
             if add is not None:
                 residual = residual + add(run, channel)
             if noise is None:
-                # Second differences are of the residuals where the fit ended: at its optimum.
+                # Second differences are computed from the residuals at the optimum of the fit.
                 residual = residual - columns @ off - own @ own_off[run]
             name = f"link{channel:02d}_z"
             series = Series(f"run{run}", name, residual, TIMES, noise, name, SIGMA, 0.0)
@@ -66,7 +66,7 @@ HELD = {
 
 
 def least(foretold, rows, prior):
-    """Chi-square and rank of a fit of some cells, by one dense matrix."""
+    """Return chi-square and rank of a fit of some cells, by one dense matrix."""
     blocks, rests = [], []
     for each, kept in zip(foretold, rows, strict=True):
         own = np.zeros((SAMPLES, 4))
@@ -96,7 +96,7 @@ def test_it_is_what_chi_square_rises_by_where_the_held_cells_are_fitted_too(held
     assert found.degrees_of_freedom == sum(int(np.sum(each.held)) for each in foretold) - (
         whole - rank
     )
-    # And that of one channel of a run.
+    # The same for one channel of a run.
     at = next(i for i, each in enumerate(foretold) if np.any(each.held))
     rows = [~each.held | (np.arange(len(foretold))[i] == at) for i, each in enumerate(foretold)]
     after, whole = least(foretold, rows, prior)
@@ -107,7 +107,7 @@ def test_it_is_what_chi_square_rises_by_where_the_held_cells_are_fitted_too(held
 
 @quick
 def test_what_only_the_held_run_knows_takes_nothing():
-    """An offset and a slope of its own cost two degrees of freedom, however large they are."""
+    """Its own offset and slope use two degrees of freedom, however large they are."""
     rng = np.random.default_rng(1)
     foretold = drawn(rng, noise=ChannelNoise(SIGMA), held=held_run())
     test = PredictionTest(foretold, np.zeros((4, 4)), robust=False)
@@ -125,7 +125,7 @@ def test_what_only_the_held_run_knows_takes_nothing():
 @pytest.mark.parametrize("held", HELD.values(), ids=HELD)
 @pytest.mark.parametrize("noise", [ChannelNoise(SIGMA), SLOW, None], ids=["white", "slow", "none"])
 def test_p_values_of_the_right_model_are_uniform(held, noise):
-    """Kolmogorov and Smirnov at 0.1 %, of 200 draws; and few of them accuse."""
+    """Kolmogorov-Smirnov test at 0.1 % for 200 draws; few of them indicate a wrong model."""
     rng = np.random.default_rng(2)
     values, accused = [], 0
     for _ in range(200):
@@ -135,16 +135,16 @@ def test_p_values_of_the_right_model_are_uniform(held, noise):
         values.append(test._of(at).p_value)
         accused += test.reason() is not None
     if noise is None:
-        # The noise comes from cells that are held, too, which makes extremes rarer.
+        # The noise is estimated from held-out cells, too, which makes extremes rarer.
         assert np.mean(np.array(values) < 0.05) < 0.08
     else:
         assert kstest(values, "uniform").pvalue > 1e-3
-    # One in 300 is, and five of 200 have a chance below 1 in 500.
+    # The expected rate is one in 300; five of 200 have a probability below 1 in 500.
     assert accused < 5
 
 
 def bend(run, channel):
-    """What the model lacks: it begins late, in one channel."""
+    """An effect that the model omits: it starts late and affects one channel."""
     return 0.06 * np.clip(TIMES - 4, 0, None) ** 2 * (channel == 1)
 
 

@@ -1,4 +1,4 @@
-"""The restricted likelihood against its textbook form, and what is estimated by it."""
+"""The restricted likelihood: compared with its textbook form, and the resulting estimates."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from giajax.noise import (
 
 
 def memory(times, time_s, rng):
-    """An Ornstein-Uhlenbeck process of unit variance."""
+    """Return an Ornstein-Uhlenbeck process with unit variance."""
     decay = np.exp(-np.diff(times) / time_s)
     values = rng.normal(size=len(times))
     for i in range(1, len(times)):
@@ -26,7 +26,7 @@ def memory(times, time_s, rng):
 
 
 def smooth(times):
-    """Four columns such as a fit of a slow motion has."""
+    """Return four columns like those of a fit of a slow motion."""
     u = times / times[-1]
     return np.stack([np.exp(-3 * u), np.sin(3 * u), u, np.cos(7 * u)], axis=1)
 
@@ -46,7 +46,7 @@ def of_run(times, values, columns, *, own=None, run=0, key="x"):
 
 @pytest.mark.quick
 def test_differences_of_it_are_those_of_the_textbook():
-    """Two runs with a column of their own each, and two channels that differ in noise."""
+    """Two runs with one column each, and two channels with different noise."""
     rng = np.random.default_rng(0)
     times = np.sort(rng.uniform(0, 9, 25))
     shared = smooth(times)[:, :2]
@@ -97,7 +97,7 @@ def test_differences_of_it_are_those_of_the_textbook():
 @pytest.mark.quick
 @pytest.mark.parametrize("own", [False, True])
 def test_with_priors_it_is_the_likelihood_of_parameters_that_are_drawn(own):
-    """The third column is the first again: what is known of one is known of their sum, in part."""
+    """The third column equals the first, so a prior of one partly determines their sum."""
     rng = np.random.default_rng(4)
     times = np.sort(rng.uniform(0, 9, 30))
     columns = smooth(times)[:, [0, 1, 0]]
@@ -185,7 +185,7 @@ def test_an_outlier_is_no_memory():
 
 
 def test_channels_are_passed_over_together_as_one_by_one():
-    """At the same instants and at others; one has no cells left."""
+    """At the same times and at different times; one channel has no cells left."""
     rng = np.random.default_rng(5)
     times = np.linspace(0.0, 10.0, 60)
     whole = [of_run(times, rng.normal(size=60), smooth(times)) for _ in range(3)]
@@ -209,7 +209,7 @@ def test_far_guesses_of_the_size_lead_to_the_same():
 
 
 def test_a_chance_hit_among_many_channels_is_no_memory():
-    """By itself one channel in twenty looks correlated; of sixty together none should, mostly."""
+    """One channel in twenty looks correlated by chance; among sixty, usually none should."""
     times, rng = np.linspace(0, 10, 60), np.random.default_rng(3)
     names = [f"c{number}" for number in range(60)]
     cells = [of_run(times, rng.normal(size=60), smooth(times), key=name) for name in names]

@@ -1,4 +1,4 @@
-"""Passes over the cells against dense matrices."""
+"""Recursions over the cells, compared with dense matrices."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ NOISE = ChannelNoise(white=0.7, correlated=1.3, time_s=2.0)
 
 
 def cells(count=30, seed=0):
-    """Uneven times with a gap, weights of outliers, and some columns."""
+    """Return uneven times with a gap, weights with outliers, and some columns."""
     rng = np.random.default_rng(seed)
     times = np.sort(rng.uniform(0, 10, count))
     times[count // 2 :] += 15.0

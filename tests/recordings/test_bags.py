@@ -1,4 +1,4 @@
-"""Bags as ROS 2 writes them, without ROS: what is in them, and two commands to a fit."""
+"""Bags as written by ROS 2, read without ROS; and two commands from a bag to a fit."""
 
 import os
 import sqlite3
@@ -20,7 +20,7 @@ from giajax.cli import main
 from giajax.recordings import ImportSettings, channels_of, read_foreign, rows_kept
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-BEGAN = 1_700_000_000  # s since 1970, as clocks of robots show it
+BEGAN = 1_700_000_000  # s since 1970, as in the clocks of robots
 
 
 def of(kind):
@@ -59,7 +59,7 @@ def inertial(time, gyro, accel, known=0.0):
 
 
 def write_bag(folder, topics, name="bag", plugin=StoragePlugin.SQLITE3):
-    """A bag of (topic, time in the bag, message); its path."""
+    """Write a bag of (topic, time in the bag, message), and return its path."""
     path = folder / name
     with Writer(path, version=9, storage_plugin=plugin) as writer:
         connections = {}
@@ -77,7 +77,7 @@ TOPICS = [
     ("/commands", 0.1, joints(None, ["shoulder"], [0.5])),
     ("/imu", 0.2, inertial(0.2, (1, 2, 3), (4, 5, 6))),
     ("/markers", 0.2, poses(0.2, (1, 2, 3), (4, 5, 6))),
-    # Late in the bag, and of one joint alone; then a topic without stamps.
+    # Late in the bag and with one joint only, followed by a topic without stamps.
     ("/joint_states", 0.6, joints(0.5, ["elbow"], [0.3], [3.0], [7.0])),
     ("/commands", 0.7, joints(None, ["shoulder"], [1.1])),
     ("/tip", 0.8, pose(0.8, (7, 8, 9))),
@@ -132,7 +132,7 @@ def test_a_sensor_that_is_not_there_is_no_channel(tmp_path):
 
 @pytest.mark.quick
 def test_messages_of_a_bag_have_one_clock_and_none_is_lost(tmp_path):
-    """Where a topic is ignored, it does not matter what its clock is."""
+    """The clock of an ignored topic does not matter."""
     tip = [("/tip", time, pose(time, (time, 0, 0))) for time in (0.0, 0.5, 1.0)]
     turn = {"/cmd/a": "joint01_command", "/tip": "tip"}
     for number, (wrong, says) in enumerate([
@@ -152,7 +152,7 @@ def test_messages_of_a_bag_have_one_clock_and_none_is_lost(tmp_path):
         times, values = rows_kept(table, channels_of(table, turn, how=how), how)
         np.testing.assert_allclose(times, [0, 0.5, 1])
         np.testing.assert_allclose(values["tip_x"], [0, 0.5, 1])
-    # A simulation begins at 0, and is recorded faster than it runs.
+    # A simulation starts at 0, and is recorded faster than real time.
     fast = [("/cmd", at, joints(10 * at - BEGAN, ["a"], [at])) for at in (0.0, 0.5, 1.0)]
     table = read_foreign(write_bag(tmp_path, fast, "fast"))
     np.testing.assert_allclose(table.times, [0, 5, 10])
@@ -166,7 +166,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
     (tmp_path / "torn.mcap").write_bytes(next(path.glob("*.mcap")).read_bytes()[:200])
     (tmp_path / "text.db3").write_text("time_s\n0\n")
     for name, how, says in [
-        ("other", {}, "but /talk (std_msgs/msg/String): give another bag"),
+        ("other", {}, "(its topics: /talk (std_msgs/msg/String)): give another bag"),
         ("empty", {}, "metadata.yaml does not exist"),
         ("torn.mcap", {}, "is not a complete MCAP file"),
         ("text.db3", {}, "file is not a database"),
@@ -183,7 +183,7 @@ def test_a_bad_bag_is_one_sentence(tmp_path, monkeypatch):
         read_foreign(path)
 
 
-# Bags that nobody recorded.
+# Invalid bags.
 
 MCAP = b"\x89MCAP0\r\n"
 JOINTS, POSE = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
@@ -195,21 +195,21 @@ def zstd(data):
 
 
 def record(code, *parts):
-    """A record of MCAP; texts go with their length."""
+    """Return an MCAP record; texts are preceded by their length."""
     parts = [p if isinstance(p, bytes) else struct.pack("<I", len(p)) + p.encode() for p in parts]
     data = b"".join(parts)
     return bytes([code]) + struct.pack("<Q", len(data)) + data
 
 
 def mcap(*records, end=b"", checked=False):
-    """A file of these records; with a checksum of its data, if it is to be checked."""
+    """Return a file of these records, with a checksum of its data if `checked`."""
     data = MCAP + record(1, "ros2", "test") + b"".join(records)
     checksum = struct.pack("<I", zlib.crc32(data) if checked else 0)
     return data + record(15, checksum) + end + record(2, bytes(20)) + MCAP
 
 
 def topic(definition=DEFINITION, form="cdr", number=1, name="/j", kind=JOINTS, said="ros2msg"):
-    """A schema and a channel, both of this number."""
+    """Return a schema and a channel with this number."""
     number = struct.pack("<H", number)
     return record(3, number, kind, said, definition) + record(
         4, number, number, name, form, b"\0\0\0\0"
@@ -217,7 +217,7 @@ def topic(definition=DEFINITION, form="cdr", number=1, name="/j", kind=JOINTS, s
 
 
 def told(time, *lists, at=None, data=None, number=1):
-    """A message as a record."""
+    """Return a message as a record."""
     at = round((BEGAN + time) * 1e9) if at is None else at
     data = bytes(STORE.serialize_cdr(joints(time, *lists), JOINTS)) if data is None else data
     return record(5, struct.pack("<HIQQ", number, 0, at, at), data)
@@ -236,7 +236,7 @@ DATA = bytes(STORE.serialize_cdr(joints(0.0, ["a"], [1.0]), JOINTS))
 TURNED = (
     DEFINITION.replace("velocity", "x").replace("position", "velocity").replace("x", "position")
 )
-# 16 definitions of 1,048,000 letters each, of 16 topics with a message each; then empty messages.
+# 16 definitions of 1,048,000 characters for 16 topics with one message each, then empty messages.
 LONG = b"".join(
     topic(DEFINITION.ljust(1_048_000, "#"), number=n, name=f"/j{n}")
     + told(0, ["a"], [1.0], number=n)
@@ -250,11 +250,11 @@ ENDLESS = (
 FILES = {
     "decompresses to more than 100 times": mcap(topic(), chunk(bytes(1 << 25)), GOOD),
     "has chunks of more than 134,217,728 bytes": mcap(topic(), chunk(b"", size=1 << 40), GOOD),
-    "is not the stated 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
+    "differs from the specified 100 bytes": mcap(topic(), chunk(bytes(1 << 25), size=100), GOOD),
     "is compressed with 'tars'": mcap(topic(), chunk(GOOD).replace(b"zstd", b"tars")),
     "is truncated": mcap(topic(), b"\x05" + b"\xff" * 8, GOOD),
     "is not a complete MCAP file": mcap(topic(), GOOD)[:-30],
-    "has 2 messages, but states that it has 5": mcap(
+    "has 2 messages, but its statistics give 5": mcap(
         topic(), GOOD, end=record(11, struct.pack("<QHIIIIQQ", 5, 1, 1, 0, 0, 0, 0, 1), bytes(4))
     ),
     "uses channel 1 for two topics": mcap(topic(), GOOD, end=topic().replace(b"/j", b"/k")),
@@ -265,14 +265,14 @@ FILES = {
     ),
     "more than 10,000 series": mcap(topic(), *(told(i, [f"n{i}"], [1.0]) for i in range(10_001))),
     "'/j/a\\x1b[2J\\nb' is not a valid name": mcap(topic(), told(0, ["a\x1b[2J\nb"], [1.0])),
-    "is not a valid name: it may have at most 1,000 characters": mcap(
+    "is not a valid name: it may have at most 1,000 printable": mcap(
         topic(), told(0, ["q" * 1_001], [1.0])
     ),
     "/j/a twice": mcap(topic(), told(0, ["a", "a"], [1.0, 2.0])),
     "has 2 names but 1 values of position": mcap(topic(), told(0, ["a", "b"], [1.0])),
     "/j/a is inf in a message": mcap(topic(), told(0, ["a"], [np.inf])),
     "has the receipt time 18446744073709551615": mcap(topic(), told(0, ["a"], [1.0], at=2**64 - 1)),
-    "have a JointState that differs from that of ROS 2": mcap(topic(TURNED), GOOD),
+    "have a JointState that differs from the ROS 2 definition": mcap(topic(TURNED), GOOD),
     "of /j have a JointState that differs": mcap(
         topic(), GOOD, topic(TURNED, number=2), told(2, ["a"], number=2)
     ),
@@ -287,10 +287,10 @@ FILES = {
     "reading a message of /j in": mcap(topic(), told(0, data=DATA[:20] + b"\xff" * 4 + DATA[24:])),
     "has more than 4,194,304 bytes": mcap(topic(), chunk(told(0, data=DATA.ljust(1 << 22) + DATA))),
     "has more than 16,777,216 numbers": mcap(chunk(LONG + 5_000 * EMPTY)),
-    "has ROS 1 messages, /j (sensor_msgs/JointState): convert": mcap(
+    "has ROS 1 messages (/j (sensor_msgs/JointState)): convert": mcap(
         topic("", form="ros1", kind="sensor_msgs/JointState", said="ros1msg"), GOOD
     ),
-    f"has no messages, or only empty messages, of the topics /j "
+    f"has no messages, or only empty messages, on the topics /j "
     f"({JOINTS})": mcap(topic(), told(0, [])),
     "has damaged data": mcap(topic(), GOOD, checked=True).replace(b"\xf0\x3f", b"\xf0\x3e"),
 }  # fmt: skip
@@ -314,7 +314,7 @@ SCRIPTS = {
     "contains a topic twice": "ALTER TABLE topics RENAME TO t; CREATE TABLE topics AS SELECT * "
     "FROM t;"
     " INSERT INTO topics SELECT * FROM t",
-    # Columns that no row has, and of which none may be empty.
+    # Columns that are absent from all rows, and none of which may be empty.
     "takes much longer to read than its size suggests": "DROP TABLE messages; CREATE TABLE "
     "messages(id,"
     " topic_id, timestamp, data); WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
@@ -363,7 +363,7 @@ def test_a_hostile_database_is_one_sentence(tmp_path, says):
 
 @pytest.mark.quick
 def test_pages_of_a_database_that_are_in_each_other_end(tmp_path):
-    """The root has 300 children, each 300, and so on: 2e17 rows in a file of 60 kB."""
+    """The root has 300 children with 300 children each, and so on: 2e17 rows in a file of 60 kB."""
     path, file = database(tmp_path)
     base = sqlite3.connect(file)
     (size,), (root,) = (
@@ -413,7 +413,7 @@ def test_files_of_a_bag_are_in_its_folder_and_are_files(tmp_path):
         with pytest.raises(InputError) as caught:
             read_foreign(path)
         assert says.replace("6", str(number)) in str(caught.value)
-    # What is being recorded is not all there.
+    # A bag that is still being recorded is incomplete.
     path, _ = database(tmp_path)
     (path / "bag.db3-wal").write_bytes(b"more")
     with pytest.raises(InputError, match="was not closed"):
@@ -508,7 +508,7 @@ def test_a_database_of_ros_2_before_it_kept_definitions(tmp_path):
 
 @pytest.mark.quick
 def test_what_is_ignored_is_not_counted(tmp_path):
-    """Neither series, numbers, sizes nor times of a topic that is ignored whole; its names are."""
+    """Its series, numbers, sizes and times are not counted, only its names are."""
     path = tmp_path / "bag.mcap"
     others = topic(number=17, name="/k") + b"".join(
         told(n, ["a"], [float(n)], number=17) for n in (0, 1)
@@ -528,7 +528,7 @@ def test_what_is_ignored_is_not_counted(tmp_path):
         np.testing.assert_array_equal(table.times, [0, 1])
         assert list(channels_of(table, {"/k/a": "joint01"})["joint01_angle"]) == [0, 1]
         assert 0 < sum(name.startswith("/j") for name in table.things) <= 10_000
-    # Up to here it counts, but is not too much.
+    # This much counts, but does not exceed the limit.
     path.write_bytes(mcap(chunk(LONG + 4_000 * EMPTY), others))
     assert "/j1/a" in read_foreign(path).things
     empty = topic(number=18, name="/i") + 5_000 * told(0, [], number=18)
@@ -568,7 +568,7 @@ def test_files_are_unpacked_one_after_the_other_where_there_is_space(tmp_path, m
 
 
 def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):
-    """A swing is recorded by a driver's topic, and its centre of mass comes back."""
+    """A swing is recorded from the topic of a driver, and a fit finds its centre of mass."""
     times = np.arange(200) / 50
     arm = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}
     truth = {**arm, "parameters": {**arm["parameters"], "links.centre_of_mass": 0.6}}
@@ -590,7 +590,7 @@ def test_two_commands_from_a_bag_to_a_fit(tmp_path, capsys):
     )
     words = ["import", str(bag), "--point", "/joint_states/pivot=joint01"]
     assert main([*words, "--to", str(tmp_path / "run.csv")]) == 0
-    assert "from a bag of ROS 2: 200 rows, 200 of 200 values found" in capsys.readouterr().out
+    assert "from a ROS 2 bag: 200 rows, 200 of 200 values found" in capsys.readouterr().out
     out = tmp_path / "result"
     assert main(["fit", str(fit), "--out", str(out), "--no-figures", "--no-suspects"]) == 0
     found = load_result(out).parameters["links.centre_of_mass[0]"]

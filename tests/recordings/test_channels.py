@@ -1,4 +1,4 @@
-"""The column table: what a column name means, and its units against values worked by hand."""
+"""The column table: the meaning of column names, and units checked by hand."""
 
 import math
 
@@ -68,10 +68,10 @@ def test_conversion_keeps_shape_and_missing_cells():
     np.testing.assert_array_equal(values, [[1.0, np.nan], [0.0, -0.5]])
 
 
-# What is given, and what the sentence must contain: the name and the remedy.
+# The column name, and a required part of the message: the name and the remedy.
 WRONG = [
     ("link06_z_ft", ["'link06_z_ft'", "'ft'", "m, cm or mm"]),
-    ("link06_z", ["'link06_z'", "does not state its unit", "--rename link06_z=link06_z_m"]),
+    ("link06_z", ["'link06_z'", "does not give its unit", "--rename link06_z=link06_z_m"]),
     ("Link6_Z_m", ["did you mean 'link06_z_m'", "--rename Link6_Z_m=link06_z_m"]),
     ("Link 6 z_m", ["--rename 'Link 6 z_m=link06_z_m'"]),
     ("link6_z_m", ["did you mean 'link06_z_m'"]),

@@ -1,4 +1,4 @@
-"""What `giajax check` and `giajax init` are made of."""
+"""The parts of `giajax check` and `giajax init`."""
 
 import json
 import re
@@ -49,8 +49,8 @@ def test_description_of_a_run(tmp_path):
     assert by_name["link06_z"]["noise"] is None
     assert by_name["joint01_command"]["max"] == pytest.approx(30.0)
     notes = "\n".join(facts["notes"])
-    assert "noise of link06_z not stated" in notes
-    assert "wind_y and wind_z not recorded" in notes
+    assert "noise of link06_z is not specified" in notes
+    assert "wind_y and wind_z are not recorded" in notes
     assert "[arm] names no preset" in notes
 
 
@@ -92,7 +92,7 @@ def test_notes_say_what_is_assumed():
 
 
 def test_a_preset_that_no_one_named_is_said():
-    """What is left to it, by name where that is little; nothing where one is named."""
+    """Values that come from the preset are named if they are few; with a given preset, none are."""
 
     def notes(**arm):
         run = Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}, definition={"arm": arm})
@@ -100,11 +100,11 @@ def test_a_preset_that_no_one_named_is_said():
 
     assert notes(preset="takeichi_20m", links=2) == []
     (sentence,) = notes(preset="chain", links=1, link_length_m=0.5, link_diameter_m=0.1)
-    assert "no link_mass_kg, joints.pitch_stiffness, joints.damping, joint_axes, and" in sentence
+    assert "give link_mass_kg, joints.pitch_stiffness, joints.damping, joint_axes, and" in sentence
     assert "joints.* in [arm.parameters]" in sentence
     (sentence,) = notes(links=2, link_length_m=0.5, joint_axes="pitch_yaw")
     assert sentence.startswith("[arm] names no preset: the constants of the preset takeichi_20m")
-    assert 'such as "chain"' in sentence
+    assert 'for example to "chain"' in sentence
     sizes = {"link_length_m": 0.5, "link_diameter_m": 0.1, "link_mass_kg": 0.1}
     joints = {"joints.pitch_stiffness": 1.0, "joints.yaw_stiffness": 1.0, "joints.damping": 0.0}
     (sentence,) = notes(**sizes, parameters=joints)
@@ -125,7 +125,7 @@ def test_lists_of_an_own_arm_say_how_many_links_it_has():
 def test_assumed_muscles_of_an_own_arm_are_said():
     arm = {"preset": "chain", "muscles": "pitch", "parameters": {"geometry.anchor_x": 0.4}}
     run = Run.from_arrays([0.0, 1.0], {"joint01_command": [0.0, 1.0]}, definition={"arm": arm})
-    (note,) = (note for note in describe(run)["notes"] if note.startswith("muscles assumed as"))
+    (note,) = (note for note in describe(run)["notes"] if note.startswith("the muscles are"))
     assert "geometry.anchor_y" in note
     assert "geometry.anchor_x" not in note
 
@@ -137,7 +137,7 @@ def test_winds_of_some_links_are_told():
         winds = {name: [0.0, 0.1] for name in names[:count]}
         run = Run.from_arrays(times, {"joint01_command": times, **winds}, definition=definition)
         notes = "\n".join(describe(run)["notes"])
-        assert ("wind not recorded for all links and axes" in notes) == told
+        assert ("wind is not recorded for all links and axes" in notes) == told
 
 
 def test_text_channels_are_counted():
@@ -151,13 +151,13 @@ def test_text_channels_are_counted():
 def test_what_a_joint_or_a_muscle_assumes_is_told():
     joint = Run.from_arrays(None, {"angle": [0.1], "side": ["inner"], "force": [1.0]})
     told = " ".join(describe(joint)["notes"])
-    assert "the default geometry of giajax" in told
-    assert "torque not recorded: 0.3 N m" in told
+    assert "the default giajax geometry" in told
+    assert "torque is not recorded: 0.3 N m" in told
     channels = {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
     muscle = Run.from_arrays(None, channels)
     told = " ".join(describe(muscle)["notes"])
     assert "a braided muscle is assumed" in told
-    assert "states no friction" in told
+    assert "specifies no friction" in told
     section = {"muscle": {"law": "braided", "friction": "coulomb"}}
     stated = Run.from_arrays(None, channels, definition=section)
     assert all("noise" in note for note in describe(stated)["notes"])
@@ -168,7 +168,7 @@ def leap_notes(run):
 
 
 def test_a_leap_of_the_time_step_is_noted_with_its_row(tmp_path):
-    """Another unit, perhaps: from line 6 on the steps are a thousand times as large."""
+    """This may be a change of unit: from line 6 on, the time steps are a thousand times larger."""
     path = tmp_path / "run.csv"
     rows = ["0,0", "0.01,1", "0.02,2", "0.03,3", "70,3", "80,3", "90,3"]
     path.write_text("time_s,input_m,output_m\n" + "".join(f"{row},1\n" for row in rows))
@@ -184,7 +184,7 @@ def test_a_gap_is_two_leaps_and_another_rate_none():
         return Run.from_arrays(times, {"joint01_command": np.zeros_like(times)})
 
     (note,) = leap_notes(run([0.01] * 5 + [10.0] + [0.01] * 5))
-    assert "from 0.01 s to 10 s in sample 6, and again 1 time after it" in note
+    assert "from 0.01 s to 10 s in sample 6, and 1 more time after it" in note
     assert leap_notes(run([0.01] * 5 + [9.0] + [0.02] * 5)) == []
     assert leap_notes(run([0.01])) == []
 
@@ -193,7 +193,7 @@ PRESET = {"preset": "takeichi_20m"}
 
 
 def offered(text):
-    """The template with every key that it offers stated."""
+    """Return the template with every offered key enabled."""
     return re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)
 
 
@@ -228,7 +228,7 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     sidecar = tmp_path / "run.toml"
     sidecar.write_text(template)
     given = Definition.load(sidecar).contents()
-    # Of the file's own facts nothing is left to fill in; of the rest nothing is claimed.
+    # No fact of the file has to be filled in, and no other key has a value.
     assert len(given.pop("sha256")) == 64
     assert given.pop("schema_version") == 1
     assert {name: value for name, value in given.items() if value != {}} == stated
@@ -239,6 +239,6 @@ def test_every_line_of_the_template_is_legal(tmp_path, text, stated, keys):
     for section in {"hysteresis", "joint", "muscle"} & keys:
         assert set(everything[section]) == set(type(getattr(Definition(), section)).model_fields)
     if "arm" in keys:
-        # A wind field is a class of somebody's own.
+        # A wind field is a user-defined class.
         assert {"wind_field", *everything["arm"]} == set(type(Definition().arm).model_fields)
         read_run(path)

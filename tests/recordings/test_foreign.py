@@ -1,4 +1,4 @@
-"""Tables of other programs, in the form that each is documented to write, and broken ones."""
+"""Tables of other programs, in their documented forms, and broken ones."""
 
 import re
 
@@ -16,8 +16,9 @@ from giajax.recordings import (
     read_table,
 )
 
-# Tracker 6, File > Export > Data (ExportDataDialog.java): a delimiter, names, then the columns of
-# each, and a delimiter at the end of the first rows alone. A name of one track stood in front.
+# Tracker 6, File > Export > Data (ExportDataDialog.java): a delimiter, names, and the columns of
+# each track; only the first rows end with a delimiter. With one track, its name precedes the
+# others.
 TRACKER = (
     "#multi:\n\telbow\t\ttip of it\t\t\n"
     "t\tx\ty\tx\ty\t\n"
@@ -26,14 +27,14 @@ TRACKER = (
     "1.200000E-1\t1.480000E0\t1.500000E-1\t1.980000E0\t3.000000E-1\n"
 )
 TRACKER_ONE = "mass_A\nt\tx\ty\tpixelx\tpixely\n0\t1.5\t-0.5\t10\t20\n0.04\t1.6\t-0.6\t11\t21\n"
-# SLEAP, sleap_io.save_csv(format="sleap"): a row for each track and picture, empty ones too.
+# SLEAP, sleap_io.save_csv(format="sleap"): a row for each track and frame, including empty ones.
 SLEAP = (
     "track,frame_idx,instance.score,elbow.x,elbow.y,elbow.score,tip.x,tip.y,tip.score\n"
     "arm,0,0.95,100.5,200.25,0.98,150.0,250.0,0.92\n"
     "arm,1,0.94,101.0,201.0,0.40,151.0,251.0,0.91\n"
     "arm,3,,,,,152.0,252.0,0.90\n"
 )
-# anipose, triangulate.py: x, y, z, error, ncams, score of each, then M, center and fnum.
+# anipose, triangulate.py: x, y, z, error, ncams, score of each point, then M, center and fnum.
 ANIPOSE = (
     "tip-end_x,tip-end_y,tip-end_z,tip-end_error,tip-end_ncams,tip-end_score,"
     "M_00,M_01,M_02,center_0,center_1,center_2,fnum\n"
@@ -63,12 +64,12 @@ PHYPHOX = (
     "2.100000000E-2,1.100000000E-1,2.100000000E-1,3.100000000E-1,4.100000000E-1\n"
     "NaN,NaN,NaN,NaN,NaN\n"
 )
-# Kinovea, ExporterTXTTrajectory.cs: a section for each track, spaces between cells.
+# Kinovea, ExporterTXTTrajectory.cs: a section for each track, with spaces between cells.
 KINOVEA = (
     "#Kinovea Trajectory data export\n#T X Y\n\n# elbow\n0 100.5 20.25\n40 101 21\n\n\n"
     "# tip\n40 -5 300\n80 -6 301\n\n"
 )
-# A take of rigid bodies alone, whose last column has no axis.
+# A take with rigid bodies only, whose last column has no axis.
 BODY = "\n".join(
     line if "Version" in line else ",".join(line.split(",")[:10]) for line in MOTIVE.split("\n")
 )
@@ -86,14 +87,14 @@ def write(folder, text, name="table.csv"):
 
 
 def german(text, separator=";"):
-    """As a spreadsheet of another language saves it: rows of one length, too."""
+    """Return the text as a German spreadsheet saves it, with rows of equal length."""
     text = text.replace(",", separator).replace("\t", separator)
     lines = re.sub(r"(?<=[0-9])\.(?=[0-9])", ",", text).splitlines()
     width = max(line.count(separator) for line in lines)
     return "".join(line + separator * (width - line.count(separator)) + "\r\n" for line in lines)
 
 
-# Text, how it is read, what is what, times, and channels as they are in SI.
+# Text, options, assignment of columns, times, and channels in SI units.
 FILES = {
     "Tracker": (
         TRACKER, {"unit": "cm"}, {"tip of it": "tip", "elbow": "link01"}, [0, 0.04, 0.12],
@@ -172,12 +173,12 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "settings", "says"),
     [
-        (TRACKER, {}, "Tracker does not state the unit of its coordinates: give --unit m, cm"),
+        (TRACKER, {}, "Tracker does not give the unit of its coordinates: give --unit m, cm"),
         (TRACKER.replace("4.000000E-2", "no"), {"unit": "m"}, "column 't' has 'no' in row 5"),
         (TRACKER.replace("\ttip of it", "\telbow"), {"unit": "m"}, "two points that are called"),
         (TRACKER.replace("\t2.000000E-1", ""), {"unit": "m"}, "row 5 has 4 cells"),
         (SLEAP.replace("arm,3", "arm,1"), {"frame_rate": 1.0}, "'arm' has two instances in one "
-            "picture"),
+            "frame"),
         (SLEAP.replace("100.5", "1_0"), {"frame_rate": 1.0}, "column 'elbow.x' has '1_0' in row 2"),
         (SLEAP, {}, "SLEAP gives frame numbers instead of times: give --frame-rate"),
         (ANIPOSE.replace("1001.0", "x"), {"frame_rate": 1.0, "unit": "m"}, "has 'x' in row 3"),
@@ -196,12 +197,12 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (ANIPOSE.replace("1001.0", '"1,001"'), {"frame_rate": 1.0, "unit": "m"},
          "row 3 has '1,001', but other numbers have a decimal point"),
         (PHYPHOX.replace("Absolute (rad/s)", "Time (s)"), {}, "has the column 'Time (s)' 2 times"),
-        # Options that a table has no use for.
+        # Options that have no effect on a table.
         (SLEAP, {"frame_rate": 1.0, "origin": (0, 9)}, "--origin has no effect on this table of"),
         (SLEAP, {"frame_rate": 1.0, "rename": {"tip": "x"}}, "--rename has no effect on this"),
         (DEEPLABCUT, {"frame_rate": 1.0, "unit": "mm"}, "--unit has no effect on this table of"),
         (DEEP, {"frame_rate": 1.0, "origin": (0, 9)}, "--origin has no effect on this table of"),
-        (DEEP, {"frame_rate": 1.0}, "does not state the unit of its coordinates: give --unit"),
+        (DEEP, {"frame_rate": 1.0}, "does not give the unit of its coordinates: give --unit"),
         (KINOVEA, {"unit": "m", "origin": (0, 9)}, "--unit has no effect on this table of"),
         (TRACKER, {"unit": "m", "time_unit": "ms"}, "--time-unit has no effect on this table of"),
         (TRACKER, {"unit": "m", "likelihood": 0.9}, "--likelihood has no effect on this table"),
@@ -214,7 +215,7 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         (DEEP, {"likelihood": np.nan}, "the likelihood is nan: give a number from 0 to 1"),
         (PHYPHOX.replace("2.100000000E-2", "2.1e"), {}, "'Time (s)' has '2.1e' in row 3"),
         (PHYPHOX.replace("2.100000000E-2", "NaN"), {}, "but row 3 has no time: add the time"),
-        (PHYPHOX, {"frame_rate": -1.0}, "the rate is -1"),
+        (PHYPHOX, {"frame_rate": -1.0}, "the frame rate is -1"),
         (KINOVEA.replace("40 101 21", "40 101"), {"unit": "m"}, "row 6 has 2 cells"),
         (KINOVEA.replace("40 101", "0:00:00:03 101"), {"unit": "m"}, "'0:00:00:03' in row 6"),
         (COLUMNS, {"rename": {"t": "time_s"}}, "'z of tip' is not in the column table"),
@@ -236,7 +237,7 @@ def test_a_broken_file_is_one_sentence(tmp_path, text, settings, says):
 
 
 def imported(folder, text, *options):
-    """What `giajax import` makes of a file, or its exit status."""
+    """Import a file, and return the run or the exit status."""
     source, out = write(folder, text), folder / "run.csv"
     status = main(["import", str(source), *options, "--to", str(out), "--force"])
     return status or read_table(out)
@@ -244,7 +245,7 @@ def imported(folder, text, *options):
 
 @pytest.mark.quick
 def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
-    """Each is of the clock and the axes of the run."""
+    """Each option acts on the clock or the axes of the run."""
     plain = ["--unit", "m", "--point", "elbow=link01", "--point", "tip of it=tip"]
     whole = imported(tmp_path, TRACKER, *plain)
     assert "3 pictures, 5 of 6 points found" in capsys.readouterr().out
@@ -263,7 +264,7 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
         ["--ignore", "link01_?"],
     ):
         assert set(imported(tmp_path, TRACKER, *plain, *choice).values) == {"tip_x", "tip_z"}
-    # A film of 240 pictures a second, shown at 25: the stamps are those of the player.
+    # A film at 240 frames per second, shown at 25: the stamps are those of the player.
     fast = imported(tmp_path, TRACKER, *plain, "--frame-rate", "240")
     np.testing.assert_allclose(fast.times, np.array([0, 1, 3]) / 240)
     for text, wrong, says in [
@@ -271,7 +272,7 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
         (TRACKER, ["--only", "nose"], "--only nose is not one of"),
         (TRACKER, ["--from-time", "9"], "no row is between 9 and inf s"),
         (TRACKER, ["--point", "elbow=imu01"], "'elbow' twice"),
-        (TRACKER.replace("1.200000E-1", "1.000000E-1"), ["--frame-rate", "9"], "not evenly spaced"),
+        (TRACKER.replace("1.200000E-1", "1.000000E-1"), ["--frame-rate", "9"], "constant frame"),
     ]:
         capsys.readouterr()
         assert imported(tmp_path, text, *plain, *wrong) == 2
@@ -280,7 +281,7 @@ def test_options_cut_shift_turn_and_choose(tmp_path, capsys):
 
 @pytest.mark.quick
 def test_a_table_and_a_film_beside_each_other(tmp_path, capsys):
-    """A log of a spreadsheet gives the commands, whatever stands between its cells."""
+    """The commands come from the log of a spreadsheet with any delimiter."""
     names = ["--rename", "t=time_s", "--rename", "z of tip=tip_z_m", "--ignore", "note"]
     log = imported(tmp_path, COLUMNS, *names)
     assert set(log.values) == {"joint01_command", "tip_z"}
@@ -299,7 +300,7 @@ def test_a_table_and_a_film_beside_each_other(tmp_path, capsys):
 
 @pytest.mark.quick
 def test_commands_that_are_held_stay_so_beside_a_film(tmp_path):
-    """By the sidecar of what is beside it, and of a table of several clocks."""
+    """The sidecar of the other file declares this, also for a table with several clocks."""
     log = write(tmp_path, "time_s,joint01_command_deg,wind_x_m_per_s\n0,0,1\n0.1,10,3\n", "log.csv")
     log.with_suffix(".toml").write_text('model = "arm"\n[command]\ninterpolation = "zoh"\n')
     rows, values = np.array([0.05, 0.15]), {"joint02_command": np.array([1.0, 4.0])}
@@ -312,7 +313,7 @@ def test_commands_that_are_held_stay_so_beside_a_film(tmp_path):
 
 @pytest.mark.quick
 def test_what_drives_and_stands_in_the_table_is_known_at_the_other_times(tmp_path):
-    """Commands of the imported table go between its rows, too."""
+    """Commands of the imported table are interpolated between its rows, too."""
     names = ["--rename", "t=time_s", "--ignore", "note", "--ignore", "z of tip"]
     other = write(tmp_path, "time_s,joint02_angle_deg\n0.05,1\n", "other.csv")
     run = imported(tmp_path, COLUMNS, *names, "--command", str(other))
@@ -323,14 +324,14 @@ def test_what_drives_and_stands_in_the_table_is_known_at_the_other_times(tmp_pat
 @pytest.mark.parametrize(
     ("text", "parts", "says"),
     [
-        (PHYPHOX, {"Gyroscope": "link01"}, "for which no rates are recorded: name it imu06"),
-        (MOTIVE, {"Arm": "imu01"}, "for which no position is recorded: name it link06 or tip"),
+        (PHYPHOX, {"Gyroscope": "link01"}, "for which no rates can be recorded: name it imu06"),
+        (MOTIVE, {"Arm": "imu01"}, "for which no position can be recorded: name it link06 or tip"),
         (PHYPHOX, {"Gyroscope w": "imu01"}, "must be one of Gyroscope, Absolute"),
         (PHYPHOX, {}, "for example with --point 'Gyroscope=tip'"),
         (
             PHYPHOX.replace("Gyroscope", "Linear Acceleration").replace("rad/s", "m/s^2"),
             {"Linear Acceleration": "imu01"},
-            "but gravity has been removed from it, unlike in the signal of an accelerometer: "
+            "but its signal does not contain gravity, unlike the signal of an accelerometer: "
             "record",
         ),
     ],

@@ -1,4 +1,4 @@
-"""Runs from tables in memory, and back."""
+"""Runs from tables in memory, and back to tables."""
 
 import numpy as np
 import polars as pl
@@ -46,7 +46,7 @@ def zoned():
 
 
 def numbered():
-    """An index that is no column."""
+    """An index that is not a column."""
     return pandas_frame().rename_axis("sample")
 
 

@@ -1,4 +1,4 @@
-"""Parquet that would fill the memory: refused by its metadata, before it is unpacked."""
+"""Parquet files that would fill the memory are refused by their metadata, before decoding."""
 
 import numpy as np
 import polars as pl
@@ -18,16 +18,15 @@ SOME = 4_300_000
     [
         (
             {"time_s": np.zeros(MANY, np.int8), "link06_z_m": np.zeros(MANY, np.int8)},
-            "has 272,000,000 bytes when it is decompressed, but may have 268,435,456 at most: "
-            "shorten",
+            "has 272,000,000 bytes after decompression, but may have 268,435,456 at most: shorten",
         ),
         (
             {"time_s": np.zeros(SOME, np.int8), "side": pl.repeat("a", SOME, eager=True)},
-            "has 309,600,000 bytes when it is decompressed",
+            "has 309,600,000 bytes after decompression",
         ),
         (
             {"side": [f"{number}{'a' * 1_000_000}" for number in range(270)]},
-            r"has 270,\d{3},\d{3} bytes when it is decompressed",
+            r"has 270,\d{3},\d{3} bytes after decompression",
         ),
         ({"link06_z_m": [[1.0] * 100] * 10}, r"is of type List\(Float64\), but must hold numbers"),
         ({"link06_z_m": [{"a": 1.0}] * 10}, "is of type Struct"),
@@ -45,7 +44,7 @@ def test_what_fills_the_memory_is_not_unpacked(tmp_path, monkeypatch, columns, s
 
 @pytest.mark.parametrize("dtype", [pl.String, pl.Categorical])
 def test_one_long_text_in_every_row_is_refused(tmp_path, dtype):
-    """In the file it stands once."""
+    """The file contains the text once."""
     path = tmp_path / "run.parquet"
     pl.DataFrame({"side": ["1" * 1_000_000] * 1000}, {"side": dtype}).write_parquet(path)
     assert path.stat().st_size < 1 << 20
@@ -69,7 +68,7 @@ def test_a_footer_of_lists_within_lists_is_refused(tmp_path):
     path = tmp_path / "run.parquet"
     for footer in (b"\x19" * 100_000, b"\x19\xf7" + b"\xff" * 8 + b"\x01", b"\x1c" * 100_000):
         path.write_bytes(b"PAR1" + footer + len(footer).to_bytes(4, "little") + b"PAR1")
-        with pytest.raises(InputError, match="is not a Parquet file"):
+        with pytest.raises(InputError, match="is not a valid Parquet file"):
             read_numbers(path)
     path.write_bytes(bytes(5_000_000) + (4_900_000).to_bytes(4, "little") + b"PAR1")
     with pytest.raises(InputError, match="has 4,900,000 bytes of metadata, but may have 4,194,304"):
@@ -77,24 +76,24 @@ def test_a_footer_of_lists_within_lists_is_refused(tmp_path):
 
 
 def test_a_page_with_a_negative_number_of_values_is_refused(tmp_path):
-    """What reads it would end the process: it asks for 2e18 bytes."""
+    """The reader would try to allocate 2e18 bytes, which ends the process."""
     path = tmp_path / "run.parquet"
     pl.DataFrame({"a": np.arange(50.0)}).write_parquet(path, statistics=False)
     data = path.read_bytes()
-    # Fifth field, a table, whose first field is the number 50, and then -50, in zigzag.
+    # The fifth field is a struct; its first field is 50, then replaced by -50, in zigzag encoding.
     assert data.count(b"\x2c\x15\x64\x15") == 1
     path.write_bytes(data.replace(b"\x2c\x15\x64\x15", b"\x2c\x15\x63\x15"))
-    with pytest.raises(InputError, match="is not a Parquet file"):
+    with pytest.raises(InputError, match="is not a valid Parquet file"):
         read_numbers(path)
 
 
 def number(value):
-    """Zigzag."""
+    """Encode an integer in zigzag form."""
     return whole((value << 1) ^ (value >> 63))
 
 
 def whole(value):
-    """Seven bits a byte."""
+    """Encode an integer with seven bits per byte."""
     found = b""
     while value > 127:
         found, value = found + bytes([value & 127 | 128]), value >> 7
@@ -102,11 +101,11 @@ def whole(value):
 
 
 def thrift(table):
-    """A table of numbers, texts, tables and lists in Thrift's compact protocol."""
+    """Encode numbers, texts, structs and lists in Thrift's compact protocol."""
     found = b""
     for field, value in table.items():
         kind, data = item(value)
-        # The long form of a field's head: its kind, and then its number.
+        # The long form of a field header: the type, then the number.
         found += bytes([kind]) + number(field) + data
     return found + b"\0"
 
@@ -125,7 +124,7 @@ def item(value):
 
 
 def parquet(pages, column=None, schema=None):
-    """A file of one column of texts, with these pages."""
+    """Return a file with one text column and these pages."""
     about = {1: 6, 2: [0], 3: [b"a"], 4: 0, 5: 10, 6: len(pages), 7: len(pages), 9: 4}
     about |= {} if column is None else column
     footer = thrift(
@@ -140,7 +139,7 @@ def parquet(pages, column=None, schema=None):
 
 
 def page(encoding=0, size=0, extra=0):
-    """The head of a page, which says what it has, and that."""
+    """Return a page header, which describes the content, and the content."""
     head = {1: 0, 2: size, 3: size, 5: {1: 10, 2: encoding, 3: 3, 4: 3}}
     if extra:
         head[99] = [0] * extra
@@ -160,16 +159,16 @@ def page(encoding=0, size=0, extra=0):
     ids=["texts by prefix", "offset 0", "first offset 0", "beyond the end", "heads", "groups"],
 )
 def test_what_misleads_its_reader_is_refused_before(tmp_path, monkeypatch, data):
-    """A page that may be of any size, that is not where it is read, or groups without end."""
+    """A page of any size, a page that is not where it is read, or endless groups."""
     path = tmp_path / "run.parquet"
     path.write_bytes(data)
     monkeypatch.setattr(pl, "read_parquet_schema", lambda _: pytest.fail("it was unpacked"))
-    with pytest.raises(InputError, match="is not a Parquet file"):
+    with pytest.raises(InputError, match="is not a valid Parquet file"):
         read_numbers(path)
 
 
 def test_a_file_that_is_made_so_and_misleads_nobody_goes_to_the_reader(tmp_path, monkeypatch):
-    """Or the test before would pass by any fault of how its files are made."""
+    """This shows that the files of the previous test are refused only for their defects."""
     path = tmp_path / "run.parquet"
     path.write_bytes(parquet(page(size=10)))
     monkeypatch.setattr(pl, "read_parquet_schema", lambda _: {})

@@ -1,4 +1,4 @@
-"""What is held out of runs: by their names, those of channels, and the last part of each."""
+"""Held-out parts of runs: by name of the run or channel, and the last part of each run."""
 
 import dataclasses
 from pathlib import Path
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.quick
 
 
 def swing(name="swing", *, samples=41, free=False):
-    """A run of two joints, with a gap, and a file that it is said to come from."""
+    """Return a run of two joints with a gap, and with a file as its origin."""
     times = np.linspace(0.0, 4.0, samples)
     values = {f"joint{i:02d}_{what}": np.cos(times) for i in (1, 2) for what in ("angle", "rate")}
     values["joint01_angle"][3] = np.nan
@@ -28,7 +28,7 @@ def loop(name="loop", count=20):
 
 
 def cells(run):
-    """Samples that have a value, by channel; None for no run."""
+    """Return the samples with values by channel, or None for no run."""
     if run is None:
         return None
     return {name: np.flatnonzero(~np.isnan(v)).tolist() for name, v in run.observations.items()}
@@ -47,7 +47,7 @@ def test_a_channel():
     assert list(parts[0].held.observations) == ["joint01_angle"]
     rest = ["joint01_rate", "joint02_angle", "joint02_rate"]
     assert sorted(parts[0].fitted.observations) == rest
-    # The initial state may come from it.
+    # The initial state may depend on these samples.
     assert np.array_equal(parts[0].fitted.values["joint01_angle"][:3], np.cos([0, 0.1, 0.2]))
     assert parts[1].held is None
     assert parts[1].fitted.observed == ("joint02_rate",)
@@ -87,7 +87,7 @@ def test_the_last_part_is_that_of_the_recording_not_of_each_window():
     assert [part.fitted is None for part in parts] == [False] * 7 + [True]
     assert [part.held is None for part in parts] == [True] * 6 + [False] * 2
     assert len(cells(parts[6].held)["joint02_rate"]) == 6
-    # By the name of the recording all of its windows are held, by its own one of them.
+    # The name of a recording holds out all of its windows; the name of a window holds out one.
     other = swing("other")
     parts = hold_out([*several, other], ["swing"])
     assert [part.fitted is None for part in parts] == [True] * 8 + [False]
@@ -121,7 +121,7 @@ def elsewhere():
 
 
 def without_end():
-    """A run whose last two seconds were not recorded."""
+    """Return a run whose last two seconds were not recorded."""
     run = swing()
     return dataclasses.replace(
         run, values={n: np.where(run.times < 2, v, np.nan) for n, v in run.values.items()}
@@ -145,12 +145,12 @@ def without_end():
         ),
         ([named_last(), swing()], ["last"], ["more than one of a run, a channel"]),
         ([swing(), elsewhere(), swing("b")], ["swing"], ["two recordings have this name"]),
-        ([swing()], ["last:1.5"], ["does not state a valid fraction", "last:0.3"]),
-        ([swing()], ["last:0"], ["does not state a valid fraction"]),
-        ([swing()], ["last:1_0"], ["does not state a valid fraction"]),
-        ([swing()], ["last:"], ["does not state a valid fraction"]),
+        ([swing()], ["last:1.5"], ["does not give a valid fraction", "last:0.3"]),
+        ([swing()], ["last:0"], ["does not give a valid fraction"]),
+        ([swing()], ["last:1_0"], ["does not give a valid fraction"]),
+        ([swing()], ["last:"], ["does not give a valid fraction"]),
         ([swing()], ["swing"], ["none is left to fit"]),
-        ([swing("a"), swing("b")], ["a", "b"], ["a, b contains all measured values"]),
+        ([swing("a"), swing("b")], ["a", "b"], ["(a, b) contain all measured values"]),
         ([without_end()], ["last"], ["holds out no measured value"]),
     ],
 )

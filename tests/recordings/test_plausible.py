@@ -1,4 +1,4 @@
-"""What `giajax check` says of recordings with a mistake that people make, and of right ones."""
+"""Notes of `giajax check` for recordings with common mistakes, and for correct ones."""
 
 import dataclasses
 import functools
@@ -19,12 +19,12 @@ quick = pytest.mark.quick
 DATA = Path(__file__).parents[2] / "data"
 NAMES = ("base_step", "pitch_yaw", "joint", "muscle")
 
-# Right recordings: columns by name, as a file has them, and what the sidecar says.
+# Correct recordings: columns by name, as in a file, and the content of the sidecar.
 
 
 @functools.cache
 def table(name):
-    """The columns of a run of data/synthetic."""
+    """Return the columns of a run in data/synthetic."""
     path = DATA / "synthetic" / f"{name}.csv"
     if name in ("joint", "muscle"):
         run = read_run(path)
@@ -37,7 +37,7 @@ def table(name):
 
 
 def recorded(name, rng):
-    """One of `NAMES` once more, with noise of its own on top."""
+    """Return one of `NAMES` with additional noise."""
     columns = {column: np.array(values) for column, values in table(name).items()}
     definition = read_sidecar(DATA / "synthetic" / f"{name}.csv").contents()
     definition.pop("sha256")
@@ -48,13 +48,13 @@ def recorded(name, rng):
             values += rng.normal(scale=0.02 * more, size=len(values))
         elif column in ("force_N", "contraction"):
             values += rng.normal(scale=1e-3 * min(more, 1), size=len(values))
-    if name in ("base_step", "pitch_yaw"):  # the demonstration, without its sidecar
+    if name in ("base_step", "pitch_yaw"):  # the demonstration run without its sidecar
         definition = {} if rng.random() < 0.5 else {"arm": {"links": 20}}
     return columns, definition
 
 
 def pendulum(rng):
-    """A swing with damping, from up to 150 deg, by semi-implicit steps."""
+    """Return a damped swing from up to 150 deg, integrated with semi-implicit steps."""
     seconds, step, length = 20.0, 0.002, 10 ** rng.uniform(-0.7, 0.3)
     angle, rate = np.deg2rad(rng.uniform(8, 150)), 0.0
     damping, angles = rng.uniform(0.01, 0.3), []
@@ -83,7 +83,7 @@ def positions(columns):
     return [column for column in columns if column.endswith("_m")]
 
 
-# Mistakes: each changes the columns or the definition, and says which it is of.
+# Mistakes: each changes the columns or the definition, and names the affected column.
 
 
 def millimetres(columns, definition, rng):
@@ -124,13 +124,13 @@ def labels(columns, definition, rng):
 
 
 def measured(columns):
-    """A column that is measured and away from zero somewhere."""
+    """Return a measured column with non-zero values."""
     usual = ("link12_z_m", "link20_z_m", "joint01_angle_deg", "force_N")
     return next(column for column in usual if column in columns)
 
 
 def away(values, rng, count):
-    """Rows of cells that are well away from zero, and not beside each other."""
+    """Return rows of cells with values well away from zero that are not adjacent."""
     far = np.flatnonzero(np.abs(values) > 0.5 * np.nanmax(np.abs(values)))
     far = far[(far > 8) & (far < len(values) - 8)]
     if count > 2:
@@ -276,7 +276,7 @@ def test_a_mistake_is_named(mistake, name):
     ],
 )
 def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
-    """p pi r^2 against the pull at the pressure limit: 70.7 N a kilopascal."""
+    """p pi r^2, compared with the pull at the pressure limit: 70.7 N per kilopascal."""
     columns, definition = right("base_step", np.random.default_rng(4))
     definition["arm"] = {"links": 20, "muscles": "pitch"} | arm
     said = [odd.sentence for odd in found(columns, definition) if "collapse" in odd.sentence]
@@ -290,13 +290,13 @@ def test_a_link_that_one_muscle_folds_is_named(arm, sentence):
     [
         (0.03, 1.0, 1, "2.83 N"),
         (0.04, 1.0, None, None),
-        # Joint 20 is a yaw joint, without muscles.
+        # Joint 20 is a yaw joint, which has no muscles.
         (0.04, 0.02, None, None),
         (0.04, [0.02, 0.02], 19, "0.101 N"),
     ],
 )
 def test_a_neck_that_muscles_crush_is_named(radius, last, joint, held):
-    """2 x 0.3 N m at 0.18 m against p pi r^2 of 1 kPa, or less in the last links."""
+    """2 x 0.3 N m at 0.18 m, compared with p pi r^2 at 1 kPa, or less in the last links."""
     columns, definition = right("base_step", np.random.default_rng(4))
     parameters = {"neck.radius": radius}
     last = np.ravel(last).tolist()
@@ -326,7 +326,7 @@ def test_positions_in_another_unit_are_renamed(factor, unit):
 
 @quick
 def test_points_that_are_exchanged_are_in_no_other_unit():
-    """The first point goes as far as the last one should, and no farther than the arm is long."""
+    """The first point moves as far as the last one should, but within the arm's length."""
     rng = np.random.default_rng(3)
     columns, _ = recorded("pitch_yaw", rng)
     pair = {f"link01_{axis}_m": f"link20_{axis}_m" for axis in "xyz"}
@@ -354,7 +354,7 @@ def test_a_right_recording_gets_no_note(name):
         assert found(*right(name, np.random.default_rng(seed))) == []
 
 
-# Right runs that look like a mistake at first sight, by what is unusual in them.
+# Correct runs with an unusual property that looks like a mistake.
 
 
 def noisy(values, deviation, seed=0):
@@ -362,7 +362,7 @@ def noisy(values, deviation, seed=0):
 
 
 def stepping(times, base, **more):
-    """Two links of 1 m whose first joint has gone by `base` (rad), seen within 5 mm."""
+    """Two links of 1 m; the first joint has moved by `base` (rad), seen within 5 mm."""
     columns = {"time_s": times, **more}
     for link, out in (1, 0.5), (2, 1.5):
         columns[f"link{link:02d}_x_m"] = noisy(out * np.cos(base), 0.005, link)
@@ -392,7 +392,7 @@ def command_beside_a_constant_one():
 
 
 def following(*degrees, rows=30):
-    """An arm that has reached each command in the row in which it changes."""
+    """An arm that reaches each command in the row in which it changes."""
     command = np.repeat(np.array(degrees, dtype=float), rows)
     times = 2.0 * np.arange(len(command))
     columns, definition = stepping(times, np.deg2rad(command), joint01_command_deg=command)
@@ -409,7 +409,7 @@ def there_and_back_again():
 
 
 def rest_at_zero():
-    """An angle that is shown in whole degrees, of a joint that turns by 30 deg at once."""
+    """A joint that turns by 30 deg at once, with an angle in whole degrees."""
     columns, definition = following(0, 30, 30, 30)
     columns["joint01_angle_deg"] = np.round(columns["joint01_angle_deg"])
     columns["joint01_angle_deg"][40:] = noisy(30.0 * np.ones(80), 0.5)
@@ -417,7 +417,7 @@ def rest_at_zero():
 
 
 def limit_of_a_sensor():
-    """Two blows, in each of which the sensor shows the most that it can for some rows."""
+    """Two impacts, in each of which the sensor saturates for some rows."""
     angle = noisy(np.zeros(200), 0.1)
     angle[60:66] = angle[120:125] = 45.0
     arm = {"preset": "pendulum", "links": 1, "link_length_m": 1.0, "link_mass_kg": 0.1}
@@ -426,7 +426,7 @@ def limit_of_a_sensor():
 
 
 def slow_log(step=1.0):
-    """An arm that creeps to where it is commanded, once a second or more seldom."""
+    """An arm that slowly approaches its command, recorded once per second or less often."""
     times = step * np.arange(300)
     base = np.deg2rad(30) * (1 - 0.5 * np.exp(-times / (20 * step))) * (times > 0)
     return stepping(times, base, joint01_command_deg=np.full(300, 30.0))
@@ -437,7 +437,7 @@ def minutes_of_creep():
 
 
 def arm_on_a_table():
-    """Of joints that yaw, which carry no weight."""
+    """An arm of yaw joints, which carry no weight."""
     columns, definition = following(0, 0)
     definition["arm"] |= {"joint_axes": ["yaw", "yaw"], "link_mass_kg": 5.0}
     return columns, definition
@@ -450,7 +450,7 @@ def hanging_pendulum():
 
 
 def free_muscle():
-    """It contracts as far as its pressure lets it, against no load."""
+    """A muscle without load, which contracts as far as its pressure allows."""
     _, definition = recorded("muscle", np.random.default_rng(0))
     pressure = np.concatenate([np.linspace(0, 300, 100), np.linspace(300, 0, 100)])
     columns = {
@@ -463,7 +463,7 @@ def free_muscle():
 
 
 def blown(rows=10, part=0.5, wind=0.05, seed=11):
-    """A few rows of an arm that goes a part of the way, and elsewhere."""
+    """A few rows of an arm that moves a part of the commanded way, and sideways."""
     rng = np.random.default_rng(seed)
     commands = np.repeat(rng.uniform(-15, 15, (rows // 2, 4)), 2, axis=0)
     commands[:2] = 0.0
@@ -483,7 +483,7 @@ def blown_in_more_rows():
 
 
 def sagging(**arm):
-    """By 15 deg at the base, without gravity, as what is not balanced does."""
+    """An arm that sags by 15 deg at the base without gravity, like an unbalanced one."""
     columns, definition = following(0, 30, 0, -20)
     sagged = np.deg2rad(columns["joint01_command_deg"] - 15.0)
     columns |= {n: v for n, v in stepping(columns["time_s"], sagged)[0].items() if n != "time_s"}
@@ -520,7 +520,7 @@ def test_a_right_recording_that_is_unusual_gets_no_note(made):
     assert found(*made()) == []
 
 
-# The list of what may be wrong with columns.
+# The list of possible mistakes in columns.
 
 
 @quick
@@ -544,7 +544,7 @@ def test_each_mistake_of_the_list_is_undone():
     } <= names
     for each in listed:
         right = each.undone(run)
-        # What was measured is what the mistake makes of the right columns, once more.
+        # Applying the mistake to the corrected columns gives the measured columns again.
         for name, (of, times) in each.sources.items():
             assert np.allclose(times * right.values[of], run.values[name])
             assert right.channels[of].name == of
@@ -554,7 +554,7 @@ def test_each_mistake_of_the_list_is_undone():
 
 @quick
 def test_undoing_a_mistake_loses_no_column():
-    """Also where the right name is that of a column of zeros, or of one that nobody compares."""
+    """This includes correct names of columns with zeros and of columns that are not compared."""
     values = {f"joint0{k}_command": [0.0, 0.1 * (k == 1), 0.1 * (k == 1)] for k in (1, 2, 3)}
     values |= {"link02_z": [0.0, 0.1, 0.2], "link02_y": [3.0, 3.0, 3.0]}
     run = Run.from_arrays([0.0, 0.5, 1.0], values, definition={"arm": {"links": 3}})
@@ -603,7 +603,7 @@ def test_of_many_recordings_most_mistakes_are_named_and_no_right_one_is_accused(
     assert len(missed) <= 0.05 * 6 * len(CASES), missed
 
 
-# What its sidecar does not know of this one's camera is what a note is for.
+# The sidecar does not mention that this camera is rotated, which a note must report.
 TURNED = DATA / "synthetic" / "camera_frame.csv"
 
 
@@ -618,7 +618,7 @@ def test_what_ships_with_giajax_gets_no_note(path):
     assert codes == (["frame"] if path == TURNED else [])
 
 
-# Sentences, and the command.
+# Messages, and the command.
 
 SWING = "time_s,joint01_angle_deg\n" + "".join(
     f"{0.04 * k:.2f},{40 * np.cos(4.4 * 0.04 * k):.3f}\n" for k in range(100)
@@ -663,11 +663,11 @@ def test_a_loop_that_runs_down_is_turned_by_the_printed_command(tmp_path, capsys
     monkeypatch.chdir(tmp_path)
     assert main(["check", "--data", str(path), "--strict"]) == 3
     said = capsys.readouterr().out
-    assert "column 'output' falls where its input rises" in said
+    assert "column 'output' decreases where its input increases" in said
     (command,) = re.findall(r"giajax (import '.*' --flip output --to turned.csv)\n", said)
     assert main(shlex.split(command)) == 0
     assert main(["check", "--data", "turned.csv", "--strict"]) == 0
-    # What it also needs: the names that check was given, and what the sidecar says.
+    # The further requirements are the names given to check, and the content of the sidecar.
     path.write_text("\n".join(["t,input,y", *lines[1:]]) + "\n")
     path.with_suffix(".toml").write_text('model = "hysteresis"\n')
     names = ["--rename", "t=time_s", "--rename", "y=output"]

@@ -1,4 +1,4 @@
-"""Files: what is written is read back, and what people's files look like is read at all."""
+"""Files: written files are read back, and typical files of users can be read."""
 
 import hashlib
 import math
@@ -22,7 +22,7 @@ def csv(tmp_path, text, name="run.csv"):
 
 
 def random_values(seed, rows=200):
-    """Every kind of arm channel, over many orders of magnitude, with gaps in what is measured."""
+    """Every kind of arm channel, over many orders of magnitude, with gaps in measured ones."""
     rng = np.random.default_rng(seed)
     names = ["joint02_command", "joint01_command", "link12_z", "link02_x", "tip_y",
              "joint01_angle", "joint03_rate", "wind_z"]  # fmt: skip
@@ -58,7 +58,7 @@ def test_what_is_written_is_read_back(tmp_path, seed, units):
     assert run.noise("tip_y") == 0.1
     assert (run.definition.model, run.definition.origin) == ("arm", "a test")
     assert run.definition.sha256 == run.sha256
-    # What was read is written as the same bytes: nothing is lost at the second turn.
+    # Writing the run that was read gives the same bytes, so nothing is lost.
     again = write_run(tmp_path / "b.csv", run.times, run.values, units=units)
     assert again.read_bytes() == path.read_bytes()
 
@@ -95,7 +95,7 @@ def test_nothing_is_written_over_without_force(tmp_path):
     with pytest.raises(InputError, match=r"run\.toml exists"):
         write_run(path, [0.0, 2.0], values, definition={})
     assert not path.exists()
-    # A sidecar that describes another run would contradict the new one.
+    # The sidecar of another run would contradict the new run.
     with pytest.raises(InputError, match=r"run\.toml would become the sidecar"):
         write_run(path, [0.0, 2.0], values, force=True)
     write_run(path, [0.0, 2.0], values, definition={}, force=True)
@@ -178,7 +178,7 @@ def test_parquet_is_read_like_csv(tmp_path):
     with pytest.raises(InputError, match="'link06_z_m' is of type Boolean"):
         read_run(path)
     path.write_bytes(b"PAR1 but not really")
-    with pytest.raises(InputError, match="not a Parquet file"):
+    with pytest.raises(InputError, match="not a valid Parquet file"):
         read_run(path)
 
 
@@ -210,7 +210,7 @@ def test_the_sidecar_is_read_and_the_definition_wins(tmp_path):
     assert (run.definition.arm.links, run.noise("link06_z")) == (8, 0.02)
     definition = Definition.parse(
         {
-            "sha256": "0" * 64,  # of something else: a definition is not the file's sidecar
+            "sha256": "0" * 64,  # of another file: a definition is not the sidecar of this file
             "arm": {"link_mass_kg": 0.2},
             "noise": {"link06_z_m": 0.5},
             "fit": {"free": ["a"]},
@@ -228,7 +228,7 @@ def test_a_changed_file_contradicts_its_checksum(tmp_path):
     path = write_run(tmp_path / "run.csv", [0, 1], {"joint01_command": [0, 1]}, definition={})
     read_run(path)
     path.write_bytes(path.read_bytes().replace(b"\n1,", b"\n2,"))
-    with pytest.raises(InputError, match=r"has the SHA-256 .* but .*run\.toml states"):
+    with pytest.raises(InputError, match=r"has the SHA-256 .* but .*run\.toml gives"):
         read_run(path)
     sidecar = tmp_path / "run.toml"
     sidecar.write_text(f'sha256 = "{hashlib.sha256(path.read_bytes()).hexdigest().upper()}"')

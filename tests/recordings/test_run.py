@@ -1,4 +1,4 @@
-"""Runs from arrays: what a run tells a model, and what it refuses."""
+"""Runs from arrays: the information for a model, and invalid arrays."""
 
 import math
 
@@ -91,7 +91,7 @@ def test_noise_given_to_from_arrays_is_in_si_units():
     names = ["link06_z", "joint01_angle", "joint01_rate", "tip_x"]
     found = [run.noise(name) for name in names]
     np.testing.assert_allclose(found, [0.01, 0.02, 0.03, 0.04], rtol=1e-15)
-    # It is on top of what the definition says, and part of what the run keeps.
+    # The argument takes precedence over the definition, and the run keeps it.
     run = arm(noise={"position": 0.01}, definition={"noise": {"position_m": 1.0}, "origin": "x"})
     assert (run.definition.noise.position_m, run.definition.origin) == (0.01, "x")
 
@@ -104,7 +104,7 @@ def test_free_motion_needs_to_be_said():
         Run.from_arrays(TIMES, angles, definition={"free_motion": False})
     for definition in ({"free_motion": True}, {"initial": {"angle_deg": 60}}):
         assert Run.from_arrays(TIMES, angles, definition=definition).commands == {}
-    with pytest.raises(InputError, match="free_motion = true is stated, but the run has command"):
+    with pytest.raises(InputError, match="free_motion = true is set, but the run has command"):
         arm(definition={"free_motion": True})
 
 
@@ -126,7 +126,7 @@ def test_static_runs_have_no_times():
 
 
 COMMAND = {"joint01_command": [0.0, 0.1, 0.2, 0.3]}
-# times, values, definition, and what the sentence must contain
+# times, values, definition, and a required part of the message
 WRONG = {
     "time repeats": ([0, 1, 1, 2], COMMAND, {}, ["sample 2", "from 1 s to 1 s", "increase"]),
     "time falls": ([0, 1, 0.5, 2], COMMAND, {}, ["sample 2", "from 1 s to 0.5 s"]),
@@ -177,7 +177,7 @@ def test_what_no_model_could_use_is_one_sentence(case):
 
 
 def test_noise_of_something_else_is_refused():
-    sentence = r"'length' has no noise: state the noise of position, angle, rate"
+    sentence = r"'length' has no noise: give the noise of position, angle, rate"
     with pytest.raises(InputError, match=sentence):
         arm(noise={"length": 0.1})
     with pytest.raises(InputError, match="positive"):

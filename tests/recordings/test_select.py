@@ -1,4 +1,4 @@
-"""Channels and windows that a fit takes of a run."""
+"""The channels and the windows of a run that a fit uses."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def test_absolute_angles_are_sums_of_joint_angles():
     expected = run.values["joint01_angle"] + run.values["joint02_angle"]
     np.testing.assert_array_equal(run.observations["link02_angle"], expected)
     assert run.channels["link02_angle"].column == "link02_angle_rad"
-    # What is not compared still gives the initial state.
+    # A channel that is not compared can still give the initial state.
     assert "joint02_rate" in run.values
 
 

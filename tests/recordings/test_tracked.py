@@ -1,4 +1,4 @@
-"""Tracked points of other programs: files of their true form, and what is wrong in them."""
+"""Tracked points from other programs: files in their actual form, and invalid ones."""
 
 import time
 
@@ -10,7 +10,7 @@ from giajax.cli import main
 from giajax.recordings import read_deeplabcut, read_kinovea
 
 SCORER = "DLC_resnet50_armSep1shuffle1_100000"
-# As pandas writes it: the scorer's name, the body parts and x, y, likelihood for each.
+# As pandas writes it: the name of the scorer, the body parts, and x, y, likelihood for each.
 DEEPLABCUT = (
     f"scorer,{','.join([SCORER] * 6)}\n"
     "bodyparts,elbow,elbow,elbow,tip end,tip end,tip end\n"
@@ -27,7 +27,7 @@ ANIMALS = (
     "0,1.0,2.0,3.0,4.0\n"
     "1,1.5,2.5,3.5,4.5\n"
 )
-# Kinovea encloses cells in quotes, leaves those without a value empty, and ends rows by CRLF.
+# Kinovea quotes cells, leaves those without a value empty, and ends rows with CRLF.
 KINOVEA = (
     '"Time","Marker 1/0/X","Marker 1/0/Y","Marker 2/0/X","Marker 2/0/Y"\r\n'
     '"0","100.5","20.25",,\r\n'
@@ -138,7 +138,7 @@ def test_a_cell_of_kinovea_is_read_as_that_of_a_run(tmp_path, text, says):
 
 @pytest.mark.quick
 def test_time_grows_no_faster_than_points(tmp_path):
-    """8,000 points, which took a minute when each was looked for among all."""
+    """8,000 points took a minute when each was compared with all others."""
     number = 8_000
     names = [f"point {index}" for index in range(number)]
 
@@ -176,7 +176,7 @@ def test_a_bad_file_of_kinovea_is_one_sentence(tmp_path, text):
 
 @pytest.mark.quick
 def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
-    """Each camera and the log keep their own times; commands go between their rows."""
+    """Each camera and the log keep their own times; commands are interpolated."""
     log = write(tmp_path, "time_s,joint01_command_deg\n0,0\n0.05,10\n", "log.csv")
     film, other = write(tmp_path, DEEPLABCUT), write(tmp_path, KINOVEA, "kinovea.csv")
     first, run = tmp_path / "first.csv", tmp_path / "run.csv"
@@ -194,7 +194,7 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
     np.testing.assert_allclose(table.values["side.link03_u"][[0, 4]], [403.84326, 405])
     assert np.isnan(table.values["side.link03_u"][1:4]).all()
     np.testing.assert_allclose(table.values["top.mark01_v"][[0, 2]], [1058.75, 1058])
-    # The template has a section for each camera and landmark, and the noise of pixels.
+    # The template has a section for each camera and landmark, and the noise of the pixels.
     assert main(["init", "--data", str(run)]) == 0
     text = run.with_suffix(".toml").read_text()
     for line in ("[camera.side]", "[camera.top]", "[landmark.mark01]", "# pixel_px = 2.0"):
@@ -210,10 +210,10 @@ def test_two_cameras_and_a_log_become_one_run(tmp_path, capsys):
         (["--frame-rate", "50", "--point", "nose=tip"], "there is no tracked point 'nose'"),
         (
             ["--frame-rate", "50", "--point", "elbow=wrist"],
-            "is called 'wrist', which a camera does not",
+            "is called 'wrist', which a camera cannot record",
         ),
         (["--frame-rate", "50", "--point", "elbow"], "--point 'elbow' must be OLD=NEW"),
-        (["--frame-rate", "0", "--point", "elbow=tip"], "the rate is 0"),
+        (["--frame-rate", "0", "--point", "elbow=tip"], "the frame rate is 0"),
         (["--origin", "5", "--point", "elbow=tip"], "give two numbers"),
         (
             ["--frame-rate", "50", "--point", "elbow=tip", "--likelihood", "1"],

@@ -1,4 +1,4 @@
-"""The TOML vocabulary: every key is read, every wrong one is named, what was given is kept."""
+"""The TOML vocabulary: every key is read, wrong keys are named, given values are preserved."""
 
 import datetime
 import tomllib
@@ -100,7 +100,7 @@ def test_every_key_is_read(tmp_path):
     assert d.truth["nested"] == {"a": 1, "b": [1, 2]}
     assert d.fit.data == ["a.csv", "../b.csv"]
     assert d.fit.start == {"air.drag_coefficient": 0.6}
-    # An unquoted dotted path is a nested table for TOML, and the same path for a person.
+    # For TOML, an unquoted dotted path is a nested table, but it means the same path.
     assert d.fit.fix == {"joints.damping": 0.05, "links.mass[2]": 0.1}
     assert d.figures["air.drag_coefficient"].standard_errors == 2.5
     assert d.figures["joints.yaw_stiffness"].determined is False
@@ -112,7 +112,7 @@ def test_to_toml_and_load_return_what_was_given(tmp_path):
     assert second.contents() == first.contents()
     assert second.to_toml() == first.to_toml()
     assert first.truth["when"] == datetime.date(2024, 5, 1)
-    # Integers where a float is meant come back as floats, and nothing that was not given does.
+    # Integers in place of floats become floats, and keys that were not given stay absent.
     assert Definition.parse({"noise": {"position_m": 1}}).contents() == {
         "noise": {"position_m": 1.0}
     }
@@ -148,7 +148,7 @@ def test_the_upper_definition_wins_key_by_key():
     merged = below.merged_with(above)
     assert merged.origin == "x"
     assert (merged.arm.links, merged.arm.link_mass_kg) == (3, 0.2)
-    # A default of the upper one is not a word of its author.
+    # A default of the overriding definition does not override a given value.
     assert merged.command.interpolation == "zoh"
     assert (merged.noise.position_m, merged.noise.columns) == (0.01, {"link01_x_m": 0.2})
     assert (merged.fit.start, merged.fit.free) == ({"a": 1.0, "b": 3.0}, ["b"])
@@ -172,7 +172,7 @@ def test_arrays_and_tuples_of_a_notebook_are_lists():
 
 
 def test_gravity_that_a_fit_found_a_little_below_zero_is_read_again(tmp_path):
-    """And an arm that swings freely in it is checked, as one where buoyancy balances weight."""
+    """An arm that swings freely in it passes the check, like one with balanced weight and lift."""
     (tmp_path / "run.csv").write_text(
         "time_s,tip_z_m\n" + "".join(f"{k},{0.1 * np.cos(0.2 * k)}\n" for k in range(90))
     )
@@ -182,7 +182,7 @@ def test_gravity_that_a_fit_found_a_little_below_zero_is_read_again(tmp_path):
     oddities(read_run(tmp_path / "run.csv"))
 
 
-# What is given, and what the one sentence must contain.
+# The input, and a required part of the message.
 WRONG = [
     ('[arm]\nlink_lenght_m = 1', ["unknown key arm.link_lenght_m", "arm.link_length_m?"]),
     ("[arms]\nlinks = 3", ["unknown key arms", "did you mean arm?"]),
@@ -208,7 +208,7 @@ WRONG = [
     ("[arm]\nbase_rotation_deg = [1, 2]", ["base_rotation_deg = [1, 2]", "three numbers"]),
     ("[arm]\ngravity_m_per_s2 = -9.81", ["gravity_m_per_s2 = -9.81", "acts along -z"]),
     ("[initial]\nfree = 1", ["initial.free = 1", "true or false"]),
-    ("[initial]\nfirst_row = true\nangle_deg = 1", ["must be stated only once"]),
+    ("[initial]\nfirst_row = true\nangle_deg = 1", ["must be set only once"]),
     ("[[arm.point_masses]]\nlink = 1\nmass_kg = 0.1", ["position_m"]),
     ("[[arm.point_masses]]\nlink = 0\nmass_kg = 0.1\nposition_m = 1", ["link = 0"]),
     ("[arm]\nstrip_points = 0", ["arm.strip_points = 0", "from 1 to 20"]),

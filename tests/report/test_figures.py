@@ -1,4 +1,4 @@
-"""The figures: what they draw, that they are not blank, and that nothing global changes."""
+"""Figures: their content, that they are not blank, and that no global state changes."""
 
 import dataclasses
 import pickle
@@ -32,7 +32,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def ink(figure):
-    """Part of the pixels that are not white."""
+    """Return the fraction of pixels that are not white."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return float(np.mean(np.asarray(canvas.buffer_rgba())[..., :3].min(axis=-1) < 200))
@@ -43,7 +43,7 @@ def panels(figure):
 
 
 def many(links, components="xyz", samples=30):
-    """A run with all components of many links, its prediction, and its record."""
+    """Return a run with all components of many links, its prediction, and its record."""
     times = np.linspace(0, 3, samples)
     values = {"joint01_command": np.zeros(samples)}
     for link in range(1, links + 1):
@@ -63,7 +63,7 @@ def test_one_panel_a_channel_in_the_units_of_the_file(result, run):
     dots, line = panels(figure)[2].lines
     assert np.array_equal(dots.get_ydata(), run.observations["link04_z"], equal_nan=True)
     assert np.array_equal(line.get_ydata(), result.predictions[0]["link04_z"])
-    assert np.isnan(dots.get_ydata()).sum() == 5  # the gap is a gap
+    assert np.isnan(dots.get_ydata()).sum() == 5  # a gap is not drawn
     assert ink(figure) > 0.01
 
 
@@ -76,7 +76,7 @@ def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
     twice = dataclasses.replace(result, runs=result.runs * 2)
     with pytest.raises(InputError, match="several fitted runs have this name"):
         plot(twice, run)
-    with pytest.raises(InputError, match="2 runs were fitted: state which"):
+    with pytest.raises(InputError, match="2 runs were fitted: specify which"):
         twice.plot()
     unfiled = dataclasses.replace(result.runs[0], path=None, sha256=None)
     with pytest.raises(InputError, match=r"was made in memory .* result\.plot\(run\)"):
@@ -84,12 +84,12 @@ def test_a_fit_is_drawn_from_its_result_and_its_run(result, run):
 
 
 def parsed(result):
-    """As it is loaded: without predictions."""
+    """Return the result as it is loaded, without predictions."""
     return parse_result(result.to_json(), result.model)
 
 
 def test_a_prediction_is_drawn_over_what_was_recorded(result, run):
-    """Of a run that was not fitted, and of a channel that no run recorded."""
+    """This includes a run that was not fitted, and a channel that was not recorded."""
     other = dataclasses.replace(run, name="another")
     figure = result.predict(other, ["link04_z", "tip_x"]).plot()
     both, alone = panels(figure)
@@ -99,7 +99,7 @@ def test_a_prediction_is_drawn_over_what_was_recorded(result, run):
     assert np.array_equal(both.lines[1].get_ydata(), predicted["link04_z"])
     assert np.isnan(alone.lines[0].get_ydata()).all()
     assert np.array_equal(alone.lines[1].get_ydata(), predicted["tip_x"])
-    # It is a tree of arrays, as any dict is.
+    # It is a JAX tree of arrays, like a dict.
     assert type(twice := jax.tree.map(lambda values: 2 * values, predicted)) is dict
     assert np.array_equal(twice["tip_x"], 2 * predicted["tip_x"])
     assert (both.get_title(loc="right")[:4], alone.get_title(loc="right")) == ("RMSE", "")
@@ -142,7 +142,7 @@ def test_units_of_the_file_are_those_of_the_axis(result):
 
 
 def drawn(run):
-    """The panels of a run as its model draws it, with something as the prediction."""
+    """Return the panels of a run as its model draws it, with arbitrary values as the prediction."""
     model = model_for([run])
     channels = {
         name: ChannelFit(run.channels[name].unit, rmse=0.1, n=3, noise=1.0)
@@ -167,14 +167,14 @@ def test_a_loop_is_drawn_over_its_input():
 
 
 def test_sweeps_of_a_joint_are_not_joined():
-    """Angles go from 0 to 60 deg twice: the way back is no motion."""
+    """The angles go from 0 to 60 deg twice, and the return is not a motion."""
     angles = np.deg2rad(np.tile(np.linspace(0.0, 60.0, 61), 2))
     values = {"angle": angles, "side": np.repeat("inner", 122), "force": np.ones(122)}
     (axes,) = drawn(Run.from_arrays(None, values, definition={"model": "joint"}))
     assert axes.get_xlabel() == "angle (rad)"
     dots, line = axes.lines
     assert np.array_equal(dots.get_xdata(), angles)
-    # A gap between them, and no sample is lost.
+    # There is a gap between the sweeps, and no sample is lost.
     assert list(np.flatnonzero(np.isnan(line.get_xdata()))) == [61]
     assert list(np.flatnonzero(np.isnan(line.get_ydata()))) == [61]
     assert len(line.get_xdata()) == 123
@@ -201,7 +201,7 @@ def test_there_are_never_too_many_panels(result, links, components, count):
     assert len(panels(figure)) == count
     left_out = links * len(components) - sum(len(axes.lines) // 2 for axes in panels(figure))
     assert (f"{left_out} more channels" in figure.get_suptitle()) == (left_out > 0)
-    # Every column of panels ends in a time axis.
+    # Every column of panels has a time axis at its bottom.
     columns = panels(figure)[0].get_gridspec().ncols
     assert sum(axes.get_xlabel() == "time (s)" for axes in panels(figure)) == columns
     assert ink(figure) > 0.01
@@ -274,7 +274,7 @@ def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
     texts = [each.text for each in ElementTree.fromstring(svg).iterfind(".//{*}text")]
     assert "A parabola" in texts
     assert struct.unpack(">II", first[16:24]) == (4 * dpi, 3 * dpi)
-    # What was chosen is over.
+    # The selection of formats has ended.
     assert to_png(figure).others == {}
 
 

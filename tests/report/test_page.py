@@ -1,4 +1,4 @@
-"""The page about one result: complete, alone, small, and the numbers of the result."""
+"""The page of one result: complete, self-contained, small, and with the numbers of the result."""
 
 import dataclasses
 import json
@@ -63,13 +63,13 @@ def test_its_numbers_are_those_of_the_result(page, result):
 def test_its_plots_and_its_arm_are_data(page, result, run):
     parsed = Page(page)
     places = [a["data-plot"] for _, a in parsed.tags if "data-plot" in a]
-    assert len(places) == len(run.observations) + 1  # and the cost
+    assert len(places) == len(run.observations) + 1  # the additional plot is the cost
     for place in places:
         assert json.loads(parsed.data(place))["doc"]["roots"]
     scene = json.loads(parsed.data("scene"))
     assert len(scene["lines"]) == 4
     assert len(scene["frames"]) == len(scene["lines"][0]["points"]) == len(run.times)
-    # Two links were recorded, and not between the 15th and the 20th sample.
+    # Two links were recorded, except between the 15th and the 20th sample.
     assert len(scene["recorded"]) == 2
     assert scene["recorded"][0][17] == [None] * 3
     tip = np.array(scene["recorded"][1][30]) * scene["step"] + scene["low"]
@@ -195,11 +195,11 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
     assert "21 of 22 fits converged (95.5 %); the others failed: wall 1" in parsed.text
     assert any(row[0] == path and "100.0 % (83.9 .. 100.0)" in row for row in parsed.rows if row)
     assert json.loads(parsed.data("repetitions-0"))["doc"]["roots"]
-    # Of another fit in the same folder, nothing.
+    # Records of another fit in the same folder are ignored.
     other = dataclasses.replace(found, fitted={**fitted, path: 7.0})
     (tmp_path / "bootstrap.json").write_text(other.to_json())
     assert [section.id for section in sections(result, source)] == ["influence"]
-    # A damaged one is said in its place.
+    # A damaged record is reported in its place.
     odd = dataclasses.replace(asked, parts=(dataclasses.replace(part, exact_widening={}),))
     for text, why in (
         (

@@ -1,4 +1,4 @@
-"""Pages of results that are not as most: what is missing, not finite, or of one run alone."""
+"""Pages of unusual results: missing parts, non-finite values, or a single run."""
 
 import dataclasses
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_a_recording_without_a_sidecar(result, run, monkeypatch):
 
 
 def test_a_fitted_initial_state_is_where_the_page_begins(result, run, monkeypatch):
-    """A page made after loading shows what the page of the fit itself did."""
+    """A page made after loading equals the page of the fit itself."""
     definition = Definition.parse({**run.definition.contents(), "initial": {"free": True}}, "")
     free = dataclasses.replace(run, definition=definition)
     state = {"initial.angle[0]": OwnEstimate(0.2, 0.01), "initial.rate[1]": OwnEstimate(-0.3, 0.1)}
@@ -56,7 +56,7 @@ def test_a_fitted_initial_state_is_where_the_page_begins(result, run, monkeypatc
     for name in predicted:
         assert np.array_equal(after_the_fit[name], after_loading[name])
         assert np.array_equal(bands[name], again[name])
-        # Where it begins is the state's alone: the parameters move nothing yet.
+        # At the start, only the initial state has an effect, not the parameters.
         assert bands[name][0] < 1e-9 < bands[name].max()
 
 

@@ -1,4 +1,4 @@
-"""Reports in a browser, wide and narrow: nothing in the console, and every plot is drawn."""
+"""Reports in a browser, wide and narrow: no console messages, and every plot is drawn."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from giajax.report import report_page
 from page_reader import Page
 
 FITS = Path(__file__).parents[2] / "fits"
-# All that may be asked of a fit, with fewer draws than by default.
+# All studies of a fit, with fewer draws than by default.
 STUDIES = {
     "suspects": [],
     "profile": [],

@@ -1,4 +1,4 @@
-"""Records of studies: each type says its file, is read again, and is shown by the view it has."""
+"""Records of studies: each type names its file, can be read back, and is shown by its view."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""The folder of a result: whole, readable, and never over something else."""
+"""The folder of a result: complete, readable, and never written over other files."""
 
 import dataclasses
 import json
@@ -29,7 +29,7 @@ NAMES = [
 
 @pytest.fixture(scope="module")
 def whole(result, run, tmp_path_factory):
-    """The folder of a result with its figures, and the files that it was said to have."""
+    """Write the folder of a result with its figures, and return the reported file names."""
     folder = tmp_path_factory.mktemp("whole") / "some" / "where"
     return folder, write_result(result, run, folder)
 
@@ -42,7 +42,7 @@ def config(run):
 def test_what_is_written(result, whole):
     folder, files = whole
     assert [path.name for path in files] == NAMES
-    assert sorted(os.listdir(folder)) == sorted(NAMES)  # and no half-written file
+    assert sorted(os.listdir(folder)) == sorted(NAMES)  # without temporary files
     assert (folder / "result.json").read_text() == result.to_json()
     for name in NAMES[3:]:
         assert (folder / name).stat().st_size > 5_000
@@ -57,7 +57,7 @@ def test_the_prediction_is_a_run_with_the_columns_of_the_recording(result, run, 
     assert np.allclose(predicted.commands["joint01_command"], run.commands["joint01_command"])
     for name, values in load_result(tmp_path).predict(run).items():
         assert np.allclose(predicted.observations[name], values, rtol=1e-8, atol=1e-12)
-    # Also where nothing was measured.
+    # The prediction also has values where nothing was measured.
     assert not np.isnan(predicted.observations["link04_z"]).any()
     assert predicted.definition.arm.links == 4
 
@@ -84,7 +84,7 @@ def test_several_runs_are_in_one_file_and_have_a_figure_each(tmp_path):
     both = fit(model_for(runs), runs, start=START, max_iterations=1, check=False)
     folder = tmp_path / "out"
     files = [path.name for path in write_result(both, runs, folder)]
-    # Two runs of one name are told apart.
+    # Two runs of the same name get different file names.
     assert files == [
         "result.json", "prediction.csv", "recorded_run.png", "recorded_run_2.png",
         "residuals.png", "correlation.png",
@@ -127,7 +127,7 @@ def test_figures_are_drawn_later_or_not_at_all(result, run, whole, tmp_path):
 
 
 def test_a_disk_that_fills_up_keeps_the_result(result, run, tmp_path, monkeypatch):
-    """The numbers come first: what is large, or drawn, is what a full disk loses."""
+    """The numbers are written first, so a full disk loses only large files and figures."""
     write = _files.write_files
 
     def fill_up(contents, *, force):
@@ -229,7 +229,7 @@ def test_other_data_are_refused(whole, tmp_path):
 @pytest.mark.parametrize("content", ["", "{}", "[1]", "3", '{"runs": 3, "config": 1}', "\x00"])
 def test_a_result_of_another_program_is_refused(run, config, tmp_path, content):
     (tmp_path / "result.json").write_text(content)
-    with pytest.raises(InputError, match="not a result of giajax"):
+    with pytest.raises(InputError, match="not a giajax result"):
         check_folder(tmp_path, [run], config)
     check_folder(tmp_path, [run], config, force=True)
 

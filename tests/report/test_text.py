@@ -50,15 +50,15 @@ def test_the_table_lists_what_was_free_and_what_was_fixed(result):
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 def test_nothing_is_wider_than_the_terminal(result, width):
-    remark = "not determined: no channel responds to it; kept at its initial value"
+    remark = "not determined: no channel responds to it, so it is kept at its initial value"
     path = "joints.yaw_stiffness"
     loose = dataclasses.replace(result.parameters[path], standard_error=None, remark=remark)
     shown = dataclasses.replace(result, parameters={**result.parameters, path: loose})
     text = f"{parameter_table(shown, width)}\n{summary(shown, width)}"
-    # The columns of numbers are not broken; they need 72.
+    # The columns of numbers are not wrapped; they require a width of 72.
     assert max(map(len, text.splitlines())) <= max(width, 72)
     words = " ".join(text.split())
-    if width < 120:  # below its row, in one piece
+    if width < 120:  # the remark is below its row, in one piece
         assert remark in words
     assert remark in parameter_table(shown)
 

@@ -1,4 +1,4 @@
-"""Functions for tasks: quick, and found by name in every process."""
+"""Functions for tasks: they are quick, and every process finds them by name."""
 
 import os
 import signal
@@ -30,14 +30,14 @@ def draws(seed, number):
 
 
 def notes(number, folder):
-    """Leave a trace of each call; returns who made it."""
+    """Leave a file for each call, and return the process that made it."""
     with (Path(folder) / f"{number}.calls").open("a") as file:
         file.write("x")
     return os.getpid()
 
 
 def dies_at(number, bad, folder):
-    """End the process under the bad one, like a system without memory does; note the others."""
+    """End the process at the bad number, like a system without memory; record the others."""
     if number == bad:
         os._exit(9)
     notes(number, folder)
@@ -51,7 +51,7 @@ def waits_for_a_stop(number):
 
 
 def settings():
-    """What a worker computes with."""
+    """Return the settings of the computations of a worker."""
     import jax
 
     return {

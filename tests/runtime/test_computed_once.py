@@ -1,4 +1,4 @@
-"""What is computed apart is the same, under every transformation."""
+"""A subexpression that is computed separately gives the same result in every transformation."""
 
 import jax
 import jax.numpy as jnp

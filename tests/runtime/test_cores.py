@@ -1,4 +1,4 @@
-"""Work on all cores: as on one, in the same order, with the numbers that one core gives."""
+"""Work on all cores gives the same results in the same order as on one core."""
 
 import os
 import subprocess
@@ -55,7 +55,7 @@ def test_a_container_has_the_cores_that_it_may_use(tmp_path, files, count):
 
 @pytest.mark.parametrize("most", [1, 2, 3, 8])
 def test_items_come_back_in_their_order_and_once(most):
-    """Whatever share they were in, and however often they stood in it."""
+    """The order does not depend on the share of an item or the number of its repetitions."""
     seen = []
 
     def call(items, factor):
@@ -76,14 +76,14 @@ def test_items_come_back_in_their_order_and_once(most):
 
 
 def test_blas_has_one_thread_until_the_last_of_those_who_ask_is_done():
-    """Who ends first must not give the others' threads back, nor who ends last forget them."""
+    """Neither the first nor the last to finish may restore the wrong number of threads."""
 
     def threads():
         found = ThreadpoolController().select(user_api="blas").info()
         return {each["filepath"]: each["num_threads"] for each in found}
 
     with one_blas_thread():
-        pass  # What it loads is there for the count before.
+        pass  # loads its library before the count
     before = threads()
     assert before
     first, second = one_blas_thread(), one_blas_thread()
@@ -96,7 +96,7 @@ def test_blas_has_one_thread_until_the_last_of_those_who_ask_is_done():
 
 
 def test_threads_compute_with_the_precision_of_the_caller():
-    """A `with` of JAX counts in its own thread."""
+    """A `with` block of JAX affects only its own thread."""
 
     @jax.jit
     def call(items):
@@ -120,7 +120,7 @@ def test_the_number_of_cores_can_be_told(monkeypatch):
 
 
 def test_what_jobs_tell_comes_in_their_order_and_in_one_thread():
-    """The second job ends before the first has told anything."""
+    """The second job ends before the first has reported anything."""
     told, done = [], threading.Event()
 
     def slow(tell):
@@ -136,12 +136,12 @@ def test_what_jobs_tell_comes_in_their_order_and_in_one_thread():
     results = run_in_threads([slow, quick], 2, until=lambda result: False)
     here = threading.current_thread().name
     assert told == [("slow", here), ("quick", here)]
-    # Each has its part of the cores.
+    # Each job has its share of the cores.
     assert results == [max(1, cores() // 2)] * 2
 
 
 def test_an_interruption_stops_the_jobs_that_run_and_begins_no_other():
-    """It comes in what a job tells, or by Ctrl-C in the thread that waits."""
+    """The interruption comes from the report of a job, or from Ctrl-C in the waiting thread."""
     begun, together = [], threading.Barrier(2, timeout=10)
 
     def job(index):
@@ -223,7 +223,7 @@ def test_items_without_a_common_axis_are_refused(items):
 
 
 def test_a_fit_of_several_runs_has_the_same_numbers_on_any_number_of_cores(monkeypatch):
-    """Of unequal length, and with residuals that are asked for alone."""
+    """The runs have different lengths, and residuals are also evaluated alone."""
     monkeypatch.setattr("giajax.fitting._steps._LONG_STEP", 0.0)
     runs = [run(seed=seed, samples=count) for seed, count in enumerate((20, 31, 24))]
     ends = []
@@ -285,7 +285,7 @@ assert len(used) == 2
 
 
 def test_a_batch_is_shared_out_over_devices():
-    """Two of them, which a process must ask for before it begins."""
+    """With two devices, which a process must request before it starts JAX."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
     environment = {**os.environ, "XLA_FLAGS": flags}
     subprocess.run([sys.executable, "-c", ON_TWO_DEVICES], env=environment, check=True)

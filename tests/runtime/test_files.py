@@ -1,4 +1,4 @@
-"""Reading files that are not what they seem."""
+"""Reading files whose content is not what it seems."""
 
 import os
 import sys
@@ -32,7 +32,7 @@ def test_a_file_of_as_many_bytes_as_may_be_is_read(tmp_path):
 
 
 def test_half_a_character_is_refused_wherever_it_is():
-    """JSON has them by their numbers, and no file or terminal may."""
+    """JSON can contain half of a surrogate pair, but a file or terminal must not."""
     for text in ('{"a": ["\\ud800"]}', '{"\\uDfff": 1}', '["\\ud83d \\ude00"]'):
         with pytest.raises(ValueError, match="incomplete character"):
             parse_json(text, "a.json")
@@ -57,14 +57,14 @@ def test_a_file_that_has_nothing_to_say_yet_is_not_waited_for():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="such a file is there on Linux alone")
 def test_a_file_that_says_no_size_is_not_read_to_its_end():
-    """Those of the system have the size 0, and any content."""
+    """System files have the size 0, but may have any content."""
     with pytest.raises(InputError, match="has 101 bytes, but at most 100 are allowed"):
         read_bytes(Path("/proc/self/maps"), 100)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="of POSIX locks")
 def test_what_a_killed_writer_left_is_removed_with_the_next_task_or_fit(tmp_path):
-    """But not what nobody of giajax has named, nor what is new while others write there."""
+    """Files that giajax did not name are kept, and so are recent files of other processes."""
 
     def leave(folder):
         names = {"old": part_of(folder / "a"), "new": part_of(folder / "b")}

@@ -1,4 +1,4 @@
-"""How an extra that is missing is installed: by an index, or from the checkout that runs."""
+"""The command that installs a missing extra: from an index, or from the current checkout."""
 
 import importlib.metadata
 import json
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.quick
 
 
 def installed(monkeypatch, origin):
-    """As if giajax had been installed like that; None is from an index."""
+    """Simulate how giajax was installed; None means from an index."""
     text = None if origin is None else json.dumps(origin)
     known = SimpleNamespace(read_text=lambda name: text if name == "direct_url.json" else None)
     monkeypatch.setattr(importlib.metadata, "distribution", lambda name: known)
@@ -25,7 +25,7 @@ def test_from_a_checkout_it_is_by_its_folder(monkeypatch, tmp_path, editable):
     folder.mkdir()
     origin = {"url": folder.as_uri(), "dir_info": {"editable": True} if editable else {}}
     installed(monkeypatch, origin)
-    # The checkout is gone.
+    # The checkout no longer exists.
     assert install_command("ros") == "pip install 'giajax[ros]'"
     (folder / "pyproject.toml").write_text("")
     option = "-e " if editable else ""

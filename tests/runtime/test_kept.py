@@ -1,4 +1,4 @@
-"""Programs kept between processes: traced once, and never in place of another program."""
+"""Programs kept between processes: traced once, and never used in place of another program."""
 
 import collections
 import dataclasses
@@ -68,7 +68,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def in_a_process(spring, angle, *, function=pulled):
-    """What a process that starts now computes, and whether it kept the program."""
+    """Return the result of a newly started process, or None if the program was not kept."""
     given = (spring, angle), {}
     call = CachedProgram(function, {}).ready(given)
     return None if call is None else call(given)
@@ -110,7 +110,7 @@ def test_a_program_of_the_package_is_kept(folder):
         _, force = program(pulled)(SPRING, ANGLE)
         assert_array_equal(force, [2.0, 4.0, 6.0])
     assert TRACED == [1]
-    # As a part of another program it is traced with that.
+    # Within another program, it is traced with that program.
     assert_array_equal(jax.jit(lambda x: program(pulled)(SPRING, x)[1])(ANGLE), force)
     assert TRACED == [1, 1]
 
@@ -128,11 +128,11 @@ def test_many_programs_are_forgotten_before_the_memory_has_no_more_maps(folder):
         ours(SPRING, np.zeros(size))
     assert len(TRACED) == 29
     full = maps()
-    forget_programs_if_many(full + 1)  # not so many
+    forget_programs_if_many(full + 1)  # below the limit
     assert maps() > before + (full - before) / 2
     forget_programs_if_many(0)
     assert maps() < before + (full - before) / 2
-    # What was kept is read again, and what was not is compiled again.
+    # Kept programs are read again, the others are compiled again.
     assert_array_equal(ours(SPRING, ANGLE)[1], [2.0, 4.0, 6.0])
     ours(SPRING, np.zeros(7))
     assert len(TRACED) == 29
@@ -167,7 +167,7 @@ def test_results_of_all_kinds_come_back(folder):
         assert isinstance(found, Several)
         assert set(found.parts) == {"a", "b"}
         number, yes = found.parts["a"]
-        # Of a weak type it would be another program whatever takes it next.
+        # A result with another weak type would require another program for its next use.
         assert yes is True
         assert number == 1.0
         assert not number.weak_type
@@ -265,7 +265,7 @@ def test_a_mapping_that_has_an_order_keeps_it(folder):
     for _ in range(2):
         found = in_a_process(given, ANGLE, function=as_given)
         assert_array_equal(found["b"], ANGLE)
-    # No text describes it.
+    # A text cannot describe it.
     assert not folder.exists()
 
 

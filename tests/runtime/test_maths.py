@@ -1,4 +1,4 @@
-"""Vectors and quaternions against numpy and scipy, with derivatives where these are delicate."""
+"""Vectors and quaternions, compared with NumPy and scipy, and their critical derivatives."""
 
 import jax
 import jax.numpy as jnp
@@ -67,7 +67,7 @@ def test_a_rotation_vector_turns_by_its_length_about_itself(size):
 @pytest.mark.parametrize("transform", [jax.jacfwd, jax.jacrev])
 def test_no_rotation_still_has_a_derivative(transform):
     derivative = transform(_maths.rotation_vector_to_quaternion)(jnp.zeros(3))
-    # q = (cos(|r|/2), r sin(|r|/2)/|r|) = (1, r/2) to first order.
+    # To first order, q = (cos(|r|/2), r sin(|r|/2)/|r|) = (1, r/2).
     assert_allclose(derivative, np.vstack([np.zeros(3), np.eye(3) / 2]), atol=1e-16)
 
 
@@ -75,7 +75,7 @@ def test_no_rotation_still_has_a_derivative(transform):
 @pytest.mark.parametrize("size", [1, 20, 70])
 @pytest.mark.parametrize("more", [1, 7])
 def test_a_factor_and_a_solution_come_out_of_one_factorisation(dtype, size, more):
-    """Also for a large right side, among others, and from the lower triangle alone."""
+    """Also for a large right-hand side, within a batch, and from the lower triangle alone."""
     random = np.random.default_rng(0)
     root = random.normal(size=(size, size)) + 2 * np.sqrt(size) * np.eye(size)
     matrix = (root @ root.T).astype(dtype)
@@ -121,8 +121,8 @@ def test_a_choice_has_the_derivative_of_what_was_chosen():
 
 
 def test_a_derivative_does_not_depend_on_how_a_compiler_rounds():
-    # `jnp.hypot` has a derivative of 0 at some of these, where the compiler works out a coordinate
-    # twice, once with a product and a sum in one instruction.
+    # The derivative of `jnp.hypot` is 0 at some of these points, where the compiler computes a
+    # coordinate twice, once with a fused multiply-add.
     angle = jnp.linspace(0.1, 3, 97)
 
     def distance(angle):

@@ -1,4 +1,4 @@
-"""Plug-ins: files that register what is not in the package."""
+"""Plug-ins: files that register classes outside the package."""
 
 import os
 import subprocess
@@ -39,12 +39,12 @@ class {name}(AbstractDragLaw):
 
 @pytest.fixture(autouse=True)
 def no_plugins(monkeypatch):
-    """Keys of other tests do not have the plug-ins of these in them."""
+    """Keep the plug-ins of these tests out of the keys of other tests."""
     monkeypatch.setattr(_plugins, "_PLUGINS", {})
 
 
 def loaded_anew(path):
-    """As a new process would."""
+    """Load a plug-in as a new process would."""
     sys.modules.pop(path.stem, None)
     _plugins._PLUGINS.clear()
     source.cache_clear()
@@ -59,7 +59,8 @@ class Air(NamedTuple):
 def test_an_edited_plug_in_is_another_program_and_another_task(tmp_path):
     path, texts = tmp_path / "edited_law.py", []
     for factor in (1.0, 1.0, 2.0):
-        # Within a second, and as long: bytecode of before would be taken for that of now.
+        # The file changes within a second and keeps its length, so old bytecode could be used for
+        # it.
         path.write_text(LAW.format(name="EditedLaw", factor=factor))
         law = loaded_anew(path)
         texts.append((structure(law), content(law)))
@@ -152,7 +153,7 @@ def test_what_is_no_plug_in_is_refused(tmp_path, name, text, said):
 
 
 def test_what_is_registered_is_of_a_class_that_giajax_takes_and_has_a_name_of_its_own():
-    with pytest.raises(InputError, match="int is not derived from a class of giajax: derive it"):
+    with pytest.raises(InputError, match="int is not derived from a giajax class: derive it"):
         giajax.register(int)
 
     def made(module):
@@ -161,7 +162,7 @@ def test_what_is_registered_is_of_a_class_that_giajax_takes_and_has_a_name_of_it
 
     first = giajax.register(made("one"))
     assert registered("drag", "Twice") is first
-    # A cell of a notebook that is run again.
+    # A notebook cell that is run again.
     second = giajax.register(made("one"))
     assert registered("drag", "Twice") is second
     with pytest.raises(

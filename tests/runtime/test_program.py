@@ -1,4 +1,4 @@
-"""Programs with options of the compiler: the same values, alone and within other programs."""
+"""Programs with compiler options: the same values, alone and within other programs."""
 
 from importlib.metadata import version
 
@@ -40,6 +40,6 @@ def test_it_is_differentiated_mapped_and_a_part_of_other_programs():
     assert_allclose(jax.jvp(cube, (x,), (jnp.ones(()),))[1], 12.0)
     assert_allclose(jax.grad(cube)(x), 12.0)
     assert_allclose(jax.vmap(cube)(jnp.arange(3.0)), [0.0, 1.0, 8.0])
-    # XLA refuses options for a part of a program, even where nothing of it is traced.
+    # XLA refuses options for a part of a program, even if nothing of it is traced.
     assert_allclose(jax.jit(cube)(x), 8.0)
     assert_allclose(jax.jit(lambda y: cube(x) + y)(1.0), 9.0)

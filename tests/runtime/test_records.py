@@ -1,4 +1,4 @@
-"""The codec of records: what JSON holds of a dataclass, and what is refused when it is read."""
+"""The codec of records: dataclasses as JSON, and input that is refused when it is read."""
 
 import dataclasses
 import json
@@ -46,7 +46,7 @@ def test_what_is_written_is_read_again():
     text = json_text(whole, head)
     assert list(json.loads(text)) == ["version", *(f.name for f in dataclasses.fields(Whole))]
     assert parse_record(Whole, text, head, "FILE is none", "write it") == whole
-    # Numbers stay as they were written.
+    # Numbers keep their spelling.
     assert json_text(parse_record(Whole, text, head, "FILE is none", "write it"), head) == text
     assert json.loads(text)["parts"][0]["size"] is None
 

@@ -1,4 +1,4 @@
-"""Sums along a chain, in every size, under every transformation."""
+"""Sums along a chain for every size and transformation."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ def expected(x, backwards):
     return np.cumsum(x[..., ::-1], axis=-1)[..., ::-1] if backwards else np.cumsum(x, axis=-1)
 
 
-# Below and beyond one loop, and beyond all loops.
+# Sizes below and above the limit of one loop, and above the limit of all loops.
 @pytest.mark.parametrize("shape", [(1,), (7,), (3, 20), (18, 20), (19, 5), (4, 18, 20), (5, 40, 3)])
 @pytest.mark.parametrize("backwards", [False, True])
 def test_sums_are_those_of_numpy(shape, backwards):

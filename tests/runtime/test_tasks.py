@@ -1,4 +1,4 @@
-"""Tasks in this process: keys, seeds, files, what fails, and going on."""
+"""Tasks in this process: keys, seeds, files, failures, and continuation."""
 
 import dataclasses
 import errno
@@ -30,7 +30,7 @@ def tasks_of(function, numbers, **shared):
 
 
 def test_a_key_is_of_the_content():
-    """The same for the same, in any order; another for whatever differs."""
+    """Equal content in any order gives the same key, and any difference gives another one."""
     same = Task("small_jobs:double", {"a": 1, "b": [2.0, None]}, seed=1)
     assert Task(small_jobs.double, {"b": (2.0, None), "a": 1}, seed=1).key == same.key
     others = [
@@ -50,7 +50,7 @@ def test_a_key_is_of_the_content():
 
 
 def test_a_seed_is_of_the_study_and_the_task():
-    """Whatever runs before it or beside it; none where the function draws nothing."""
+    """The seed does not depend on other tasks; a function without random numbers has none."""
     tasks = [
         Task(small_jobs.draws, {"number": n}, seed=s) for n, s in itertools.product((1, 2), (3, 4))
     ]
@@ -117,7 +117,7 @@ def test_a_file_that_is_not_whole_counts_as_missing(tmp_path, damage):
 
 
 def test_values_are_as_json_gives_them_back(tmp_path):
-    """With files and without: arrays are lists, and what is not finite is None."""
+    """With and without files, arrays become lists, and non-finite values become None."""
     task = Task(small_jobs.mixed)
     assert run_tasks([task])[0].value == {"1": [[0, 1], 0.5], "path": "a", "nan": None}
     assert run_tasks([task], folder=tmp_path)[0].value == run_tasks([task])[0].value
@@ -127,7 +127,7 @@ def test_values_are_as_json_gives_them_back(tmp_path):
 
 
 class Elsewhere(InProcess):
-    """A worker that does not see the folder."""
+    """A worker that cannot access the folder."""
 
     def submit(self, function, task, folder, *words):
         return super().submit(function, task, None, *words)
@@ -140,7 +140,7 @@ def test_what_a_worker_cannot_write_is_written_here(tmp_path):
 
 
 def test_what_failed_is_begun_again(tmp_path):
-    """By the next call: what it wanted may be there then."""
+    """The next call repeats it, because the missing file may exist by then."""
     task, kept = Task("os:listdir", {"path": str(tmp_path / "later")}), tmp_path / "kept"
     assert run_tasks([task], folder=kept)[0].message.startswith("FileNotFoundError")
     (tmp_path / "later").mkdir()
@@ -148,7 +148,7 @@ def test_what_failed_is_begun_again(tmp_path):
 
 
 def test_a_full_disk_ends_the_study(tmp_path, monkeypatch):
-    """At the first file that cannot be written, and not with tasks that failed."""
+    """It ends at the first file that cannot be written, and no task counts as failed."""
 
     def full(path, data):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -166,7 +166,7 @@ def test_a_full_disk_ends_the_study(tmp_path, monkeypatch):
 
 
 class Breaks(InProcess):
-    """A pool that somebody else has made, and that breaks after its first task."""
+    """A user's pool that breaks after its first task."""
 
     def submit(self, function, *words):
         if hasattr(self, "used"):
@@ -186,7 +186,7 @@ def test_a_broken_pool_leaves_its_tasks_undone(tmp_path):
 
 
 class Gone(InProcess):
-    """As that of a cluster whose scheduler has ended: what it was given never ends."""
+    """The pool of a cluster whose scheduler has ended, so its tasks never finish."""
 
     _client = SimpleNamespace(status="running", scheduler=None)
 
@@ -202,7 +202,7 @@ def test_a_scheduler_that_is_gone_is_told(monkeypatch):
 
 
 class Kills(InProcess):
-    """As a cluster of distributed, which has tried already."""
+    """A cluster of distributed, which has already retried the task."""
 
     tried = 0
 
@@ -228,7 +228,7 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
 
 
 def test_a_stop_reaches_the_threads(monkeypatch):
-    """Each looks for it now and then, as the chains of a posterior do."""
+    """Each thread checks for the stop regularly, like the chains of a posterior."""
     monkeypatch.setenv("GIAJAX_CORES", "3")
 
     def interrupt(outcome, done, total):

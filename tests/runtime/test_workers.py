@@ -1,4 +1,4 @@
-"""Tasks by other processes: one pool of two, killed and used again; and a cluster."""
+"""Tasks in other processes: one pool of two, killed and used again; and a cluster."""
 
 import functools
 import os
@@ -16,9 +16,9 @@ from giajax.runtime.tasks import Task
 
 @pytest.mark.slow
 def test_processes(tmp_path, monkeypatch, request):
-    """Settings as those of the command line; one that kills its worker fails alone; Ctrl-C."""
+    """Workers have the settings of the command line; a killed one fails alone; Ctrl-C works."""
     monkeypatch.delenv("GIAJAX_CORES", raising=False)
-    # A process in the background of a shell has it ignored.
+    # A background process of a shell ignores the signal.
     request.addfinalizer(
         functools.partial(signal.signal, signal.SIGINT, signal.getsignal(signal.SIGINT))
     )
@@ -45,7 +45,7 @@ def test_processes(tmp_path, monkeypatch, request):
             task.key for number, task in enumerate(tasks) if number != 3
         }
 
-        # The signal comes when the first is done, while workers sleep, who would for a minute.
+        # The signal arrives when the first task is done, while other workers sleep for a minute.
         timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
         tasks = [Task(small_jobs.double, {"number": 1})]
         tasks += [Task(small_jobs.sleeps, {"seconds": 60 + more}) for more in range(4)]
@@ -60,7 +60,7 @@ def test_processes(tmp_path, monkeypatch, request):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster(tmp_path):
-    """An address, as `--scheduler` takes it; the workers are threads of this process."""
+    """An address, as for `--scheduler`; the workers are threads of this process."""
     distributed = pytest.importorskip(
         "distributed", reason="the extra 'cluster' is not installed: dask is not tried"
     )

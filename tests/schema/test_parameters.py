@@ -1,4 +1,4 @@
-"""Parameters that declare themselves: paths, elements, replacing, bounds and what is refused."""
+"""Parameter declarations: paths, elements, replacement, bounds and invalid values."""
 
 import dataclasses
 
@@ -90,7 +90,7 @@ def test_every_declaration_says_what_it_is(arm):
 def test_the_presets_arrays_hold_the_declared_defaults(arm):
     for path, found in declared(arm).items():
         default = found.declaration.default
-        # The preset works its inertias out from mass, length and diameter.
+        # The preset computes its inertias from mass, length and diameter.
         assert_allclose(found.value(arm), default, rtol=1e-12, atol=0, err_msg=path)
 
 
@@ -114,7 +114,7 @@ class Several(eqx.Module):
 
 
 def test_named_parts_come_in_the_order_in_which_a_model_has_them():
-    """Also of models with the same parts, of which the first is asked first."""
+    """This includes models with the same parts, of which the first is searched first."""
     first, second = (Several({name: Spring() for name in names}) for names in ("ba", "ab"))
     for model, order in ((first, ["b", "a"]), (second, ["a", "b"])):
         assert list(dict.fromkeys(path.split(".")[1] for path in declared(model))) == order

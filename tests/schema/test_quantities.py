@@ -1,4 +1,4 @@
-"""A quantity is declared once: what models, files and tables say of it comes from there."""
+"""A quantity is declared once, and models, files and tables use this declaration."""
 
 import re
 from pathlib import Path
@@ -55,7 +55,7 @@ def test_every_declaration_says_what_it_is(name):
 
 @pytest.mark.quick
 def test_every_key_belongs_to_a_section():
-    """A key of a group that no section was made with could never be stated."""
+    """A file could not give a key of a group that belongs to no section."""
     read = {part.path for _, _, part in KEYED} | {part.path for part in quantities.POINT_MASSES}
     keyed = {q.path for group in GROUPS.values() for q in group if q.key is not None}
     assert keyed == read
@@ -79,7 +79,7 @@ def test_the_default_goes_to_the_key_and_back(section, name, part):
 
 
 def models():
-    """One of each kind, and of each of its variants, with all that can be switched on."""
+    """Return a model of each kind and variant, with all options enabled."""
     history = {"input": np.sin(np.arange(20.0)), "output": np.sin(np.arange(20.0))}
     for operator in ("prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"):
         about = {"model": "hysteresis", "hysteresis": {"operator": operator}}
@@ -111,7 +111,7 @@ def test_an_arm_with_everything_is_declared_by_path():
 
 
 def paths_of(group):
-    """The paths of a group that are within a part of a model."""
+    """Return the paths of a group that belong to a part of a model."""
     return [quantity.path for quantity in group if "." in quantity.path]
 
 
@@ -124,9 +124,9 @@ def test_the_paths_that_pages_name_are_declared():
     known = {path for group in GROUPS.values() for path in paths_of(group)}
     sections = {name: of for kind in KINDS.values() for name, of in kind.all_sections.items()}
     known |= {f"{name}.{key}" for name, of in sections.items() for key in of.model_fields}
-    # Records and the page of earlier names have those.
+    # Records and the page of former names contain former paths.
     known |= {each.earlier for group in GROUPS.values() for each in group}
-    # The name of a camera is part of its paths, and pages choose one.
+    # The name of a camera is part of its paths, and pages choose a name.
     named_by_files = "|".join(name for name, of in sections.items() if of.entries)
     named = {
         (page.name, re.sub(rf"^({named_by_files})\.\w+\.", r"\1.NAME.", path))
@@ -137,7 +137,7 @@ def test_the_paths_that_pages_name_are_declared():
         )
     }
     assert len(named) > 100
-    # A law of one's own has parameters of its own.
+    # A user-defined law has its own parameters.
     own = ("air.law.", "air.wind_field.", "joints.laws")
     assert {path for _, path in named if path not in known and not path.startswith(own)} == set()
 
@@ -164,9 +164,9 @@ def test_the_end_of_a_key_is_its_unit(key, unit, factor):
 
 @pytest.mark.quick
 def test_a_key_without_its_unit_is_refused():
-    with pytest.raises(ValueError, match="link_mass does not end in a unit of kg: end it in kg"):
+    with pytest.raises(ValueError, match="link_mass does not end in a unit of kg: end its name"):
         key_factor("link_mass", "kg")
-    with pytest.raises(ValueError, match="end it in"):
+    with pytest.raises(ValueError, match="end its name in"):
         key_factor("length_kPa", "m")
 
 
@@ -192,7 +192,7 @@ SAIL = _Sail("sail")
 
 @with_keys(SAIL)
 class SailSection(Section):
-    """`[sail]`: declared here alone."""
+    """`[sail]`: declared only here."""
 
     name: ClassVar[str] = "sail"
 

@@ -1,7 +1,7 @@
-"""Where a check fails in a compiled program, it raises, as in a library that sets nothing.
+"""A failed check in a compiled program raises, as in a library without settings.
 
-Equinox reads once in a process what failed checks do, and other tests have NaN instead of them:
-`test_raising.py` runs these in a process of their own.
+Equinox reads only once per process what a failed check does. The other tests use NaN instead, so
+`test_raising.py` runs these tests in a separate process.
 """
 
 import equinox as eqx

@@ -1,4 +1,4 @@
-"""Motions in air whose formula is known; each is derived beside its test."""
+"""Motions in air with closed-form solutions, each derived next to its test."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ DISPLACED = DENSITY * np.pi / 4 * DIAMETER**2 * LENGTH
 
 
 @pytest.mark.slow
-# The other two pairs are those of the next test.
+# The next test uses the other two pairs.
 @pytest.mark.parametrize(("drag", "added"), [("centre", None), ("strip", 0.9)])
 def test_a_falling_horizontal_cylinder(drag, added):
     """(m + m_a) v' = (m - rho V) g - 1/2 rho C_D L d v^2, with m_a = C_a rho V, from rest:
@@ -22,11 +22,11 @@ def test_a_falling_horizontal_cylinder(drag, added):
     v = v_t tanh(t / T),  z = -v_t T log cosh(t / T),
     v_t^2 = 2 (m - rho V) g / (rho C_D L d),  T = (m + m_a) v_t / ((m - rho V) g).
 
-    The cylinder lies across the end of a lever of R = 1e5 m that weighs nothing: all of its points
-    are as far from the lever's joint, and so fall alike. On the circle gravity pulls with
-    g cos(z / R), less by (z / R)^2 / 2, and the height is off by as much: 3e-9 after 7 m. A
-    pitching lever turns the cylinder about its own axis alone, which has no drag, and inertia
-    I / (m R^2), 1e-13 of its mass.
+    The cylinder is perpendicular to the end of a massless lever of R = 1e5 m. All of its points
+    have the same distance from the joint of the lever, and so fall in the same way. On the circle,
+    gravity acts with g cos(z / R), which is smaller by (z / R)^2 / 2. The height has the same
+    relative error, 3e-9 after 7 m. A pitching lever also turns the cylinder about its own axis,
+    which has no drag and adds I / (m R^2), 1e-13 of its mass.
     """
     lever, mass, gravity = 1e5, 0.2, 9.81
     parameters = {"buoyancy.helium_density": 0.0}
@@ -46,7 +46,7 @@ def test_a_falling_horizontal_cylinder(drag, added):
     times = np.linspace(0.0, 3.0, 31)
     motion = simulate(
         arm,
-        # The pitching spring holds nothing: k / R^2 is 3e-10 N/m.
+        # The torque of the pitch spring is negligible: k / R^2 is 3e-10 N/m.
         constant(across),
         times,
         initial=(across, np.zeros(2)),
@@ -57,7 +57,7 @@ def test_a_falling_horizontal_cylinder(drag, added):
     speed = np.sqrt(2 * force / (DENSITY * DRAG * LENGTH * DIAMETER))
     moving = mass + (0.0 if added is None else added * DISPLACED)
     time = moving * speed / force
-    assert times[-1] > 3 * time  # it gets to 99 % of its terminal speed
+    assert times[-1] > 3 * time  # the cylinder reaches 99 % of its terminal speed
     fall = -speed * time * np.log(np.cosh(times / time))
     assert_allclose(motion.link_centres[:, 1, 2], fall, rtol=1e-6, atol=1e-8)
     found = -lever * motion.rates[:, 0]
@@ -69,13 +69,13 @@ def test_a_falling_horizontal_cylinder(drag, added):
     ("drag", "share", "added"), [("centre", 1 / 16, 1.0), ("strip", 1 / 8, None)]
 )
 def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):
-    """To the first order it swings as q = a cos(w t), w^2 = k / I, and the torque of the drag is
+    """To first order, the link swings as q = a cos(w t) with w^2 = k / I, and the drag torque is
     b q' |q'|, with b = rho C_D d L^4 / 16 at the centre, and rho C_D d L^4 / 8 along the link.
-    In one cycle it takes
+    In one period, the dissipated energy is
 
         b a^3 w^2 int_0^(2 pi) |sin|^3 = 8/3 b a^3 w^2.
 
-    The next order is b a / I of it, and so goes with the amplitude.
+    The next order is smaller by the factor b a / I, and so is proportional to the amplitude.
     """
     stiffness = 3.0
     options = {} if added is None else {"parameters": {"air.added_mass_coefficient": added}}
@@ -99,13 +99,13 @@ def test_a_link_that_swings_loses_energy_to_the_air(drag, share, added):
         loss = 8 / 3 * resistance * amplitude**3 * frequency**2
         off.append((energy[0] - energy[1]) / loss - 1)
         assert abs(off[-1]) < 4 * resistance * amplitude / inertia
-    # Half the amplitude, half of what the first order leaves out: it is the first order.
+    # The error of the first-order result is proportional to the amplitude.
     assert off[1] / off[0] == pytest.approx(0.5, rel=0.05)
 
 
 @pytest.mark.slow
 def test_a_trimmed_arm_stays_where_it_is_put():
-    """It floats in any pose, and without trim weights it does not."""
+    """It floats in any pose, unlike an arm without trim weights."""
     springless = {"joints.pitch_stiffness": 0.0, "joints.yaw_stiffness": 0.0}
     pose = np.array([0.4, -0.7, 0.2, 0.9])
     times = np.linspace(0.0, 10.0, 3)
@@ -121,7 +121,7 @@ def test_a_trimmed_arm_stays_where_it_is_put():
 
 @pytest.mark.slow
 def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
-    """Without drag, I q'' = rho V (1 + C_a) (L / 2) du/dt with I of the link and its air."""
+    """Without drag, I q'' = rho V (1 + C_a) (L / 2) du/dt with I of the link and its added mass."""
     arm = takeichi_20m(1, joint_axes=["yaw"], parameters={"air.added_mass_coefficient": 0.8})
     arm = replace(
         arm, {"air.drag_coefficient": 0.0, "joints.yaw_stiffness": 0.0, "joints.damping": 0.0}
@@ -131,7 +131,7 @@ def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
     motion = simulate(arm, constant([0.0]), times, wind=wind, rtol=1e-10, atol=1e-14)
     inertia = 0.047 * (0.15**2 / 2 + LENGTH**2 / 3) + 0.8 * DISPLACED * LENGTH**2 / 3
     torque = DISPLACED * 1.8 * gust * LENGTH / 2
-    # The couple of Munk is of the second order in the wind.
+    # Munk's couple is of second order in the wind.
     assert_allclose(motion.angles[:, 0], torque / inertia * times**2 / 2, rtol=1e-6, atol=1e-12)
     jumping = steps([0.0, 0.5], [[0.0, 0.0, 0.0], [0.0, gust, 0.0]])
     with pytest.raises(
@@ -144,7 +144,7 @@ def test_a_wind_that_grows_pushes_a_link_and_one_that_jumps_is_refused():
 
 
 def test_coulomb_friction_brings_a_link_to_rest():
-    """Fast against the smoothing rate, I w' = -f: w = w0 - f t / I, and it stops."""
+    """At rates above the smoothing rate, I w' = -f: w = w0 - f t / I, until it stops."""
     parameters = {"joints.friction": 0.02, "joints.friction_rate": 1e-3}
     arm = takeichi_20m(1, joint_axes=["pitch"], parameters=parameters)
     nothing = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")

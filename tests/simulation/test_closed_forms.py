@@ -1,4 +1,4 @@
-"""Motions whose formula is known; each is derived beside its test."""
+"""Motions with closed-form solutions, each derived next to its test."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -34,7 +34,7 @@ STILL = constant([0.0])
 
 @pytest.mark.parametrize("amplitude", [1e-4, 1.0, 3.0])
 def test_a_pendulum_of_any_amplitude(amplitude):
-    """Hung from its joint: I q'' = -m g c sin q, so sin(q/2) = k cd(w t, k), k = sin(a/2)."""
+    """Hanging from its joint: I q'' = -m g c sin q, so sin(q/2) = k cd(w t, k), k = sin(a/2)."""
     arm = one_link(gravity=9.81, base_rotation=[0.0, np.pi / 2, 0.0])
     motion = simulate(arm, STILL, TIMES, initial=([amplitude], [0.0]), **TIGHT)
     modulus = np.sin(amplitude / 2)
@@ -42,13 +42,13 @@ def test_a_pendulum_of_any_amplitude(amplitude):
     _, cn, dn, _ = ellipj(frequency * TIMES, modulus**2)
     expected = 2 * np.arcsin(modulus * cn / dn)
     assert_allclose(motion.angles[:, 0], expected, rtol=0, atol=1e-6 * amplitude + 1e-8)
-    # It hangs: the tip is 2 m below the joint when it passes through.
+    # The tip is 2 m below the joint when it passes the lowest point.
     lowest = np.argmin(np.abs(motion.angles[:, 0]))
     assert motion.tip[lowest, 2] < -2 * np.cos(amplitude / 4)
 
 
 def oscillation(stiffness, damping, times):
-    """Response of I q'' + c q' + k q = k to a step from rest."""
+    """Return the response of I q'' + c q' + k q = k to a step from rest."""
     decay = damping / (2 * INERTIA)
     frequency = np.sqrt(stiffness / INERTIA - decay**2)
     ring = np.cos(frequency * times) + decay / frequency * np.sin(frequency * times)
@@ -67,7 +67,7 @@ def test_a_spring_and_a_damper_after_a_step_with_every_solver(solver):
 
 
 def test_a_spring_after_a_ramp():
-    """Undamped, pulled at a constant speed s: q = s (t - sin(w t) / w)."""
+    """Undamped, with a command of constant speed s: q = s (t - sin(w t) / w)."""
     arm = one_link(stiffness=3.0)
     command = joint_ramps(1, {1: 0.4}, start=0.73, duration=2.0)
     motion = simulate(arm, command, TIMES, **TIGHT)

@@ -1,4 +1,4 @@
-"""Energy is conserved without air and damping, and with them lost at exactly their power."""
+"""Energy is conserved without air and damping; with them, it decreases with their power."""
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ TIGHT = {"solver": "dopri8", "rtol": 1e-11, "atol": 1e-11}
 
 
 def thirty_degrees(links):
-    """A constant command, so that the springs are wound up at the start and do no more work."""
+    """Return a constant command, which strains the springs initially and does no further work."""
     command = np.zeros(links)
     command[:2] = np.deg2rad([30.0, 20.0])
     return constant(command)
@@ -41,7 +41,7 @@ def energies(motion):
 
 
 def gauss_times(end, panels, order=6):
-    """Gauss's nodes and weights on equal panels, with the first and the last time added."""
+    """Return Gauss nodes and weights on equal panels, with the first and the last time added."""
     nodes, weights = np.polynomial.legendre.leggauss(order)
     edges = np.linspace(0.0, end, panels + 1)
     half = np.diff(edges)[:, None] / 2
@@ -97,7 +97,7 @@ def test_energy_is_conserved_without_air_and_damping(arm):
     ],
 )
 def test_energy_changes_by_the_work_of_drag_damping_and_command(arm, command, wind):
-    """A moving command winds its spring: dE/dt gains k (command - q) d(command)/dt."""
+    """A moving command strains its spring: dE/dt includes k (command - q) d(command)/dt."""
     times, weights = gauss_times(25.0, 1250)
     motion = simulate(arm, command, times, wind=wind, **TIGHT)
     kinetic, potential, power = (np.asarray(x) for x in energies(motion))

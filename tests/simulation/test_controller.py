@@ -1,4 +1,4 @@
-"""Step-size control on problems whose difficulty is known."""
+"""Step-size control for problems of known difficulty."""
 
 import diffrax
 import jax
@@ -15,7 +15,7 @@ from peers.arms import general_arm, random_states
 
 
 def test_a_step_into_nowhere_is_tried_smaller():
-    """y' = -4 y has no values below 0 here, and a first step of 1.9 s leads there."""
+    """y' = -4 y is undefined below 0 here, and a first step of 1.9 s leads there."""
 
     def decay(time, y, args):
         return jnp.where(y < 0, jnp.nan, -4 * y)
@@ -50,7 +50,7 @@ def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
     decay = eigh(damping * np.eye(6), matrix, eigvals_only=True)[-1]
     found = jax.jit(fastest_rate)(arm, angles)
     assert_allclose(found, np.hypot(oscillation, decay), rtol=1e-10)
-    # An upper bound of every pole of the linear arm, but for the few per cent that they share.
+    # An upper bound of every pole of the linearised arm, except for the coupling of a few per cent.
     poles = np.linalg.eigvals(
         np.block(
             [
@@ -65,7 +65,7 @@ def test_the_fastest_rate_is_that_of_the_springs_and_dampers(damping):
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 def test_the_derivatives_of_what_hangs_at_rest_do_not_diverge(solver):
-    """A pendulum at rest has no error and no spring; its first angle still swings, as cos(w t)."""
+    """A pendulum at rest has no error, but its derivative by the initial angle is cos(w t)."""
     arm = pendulum(1)
     times = np.linspace(0.0, 20.0, 41)
     links = arm.links

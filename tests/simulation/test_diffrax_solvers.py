@@ -1,4 +1,4 @@
-"""Any solver of diffrax, and any controller of its steps, as objects and as text."""
+"""Any diffrax solver and step-size controller, as objects and as text."""
 
 import json
 
@@ -21,7 +21,7 @@ LESS = diffrax.PIDController(1.0, 1.0, pcoeff=0.2, icoeff=0.5)
 
 
 class Own(diffrax.Midpoint):
-    """A method of one's own."""
+    """A user-defined method."""
 
 
 def move(**options):
@@ -69,7 +69,7 @@ def test_a_method_of_ones_own_is_what_moves_the_arm():
 
 
 def test_an_object_is_the_word():
-    """So that its motion is, which is that of `exact`."""
+    """They are equal, so the motion is that of `exact`, too."""
     for named, known in (("dopri5", diffrax.Dopri5()), ("Ralston()", diffrax.Ralston())):
         assert giajax.simulation.solver(named) == giajax.simulation.solver(known) == known
 
@@ -106,7 +106,7 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
             {"stepsize_controller": 0.1},
             "the step size controller is float, which does not choose step sizes",
         ),
-        ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or one of diffrax"),
+        ({"solver": 5}, "there is no solver '5': use one of tsit5, .* or a diffrax solver"),
         ({"solver": "euler"}, "there is no solver 'euler': use one of"),
         (
             {"solver": "Euller()"},
@@ -120,7 +120,7 @@ def test_derivatives_follow_from_the_mode(mode, derivative):
         ({"solver": "HalfSolver(5)"}, r"there is no solver 'HalfSolver\(5\)'"),
         (
             {"solver": diffrax.ImplicitEuler(), "stepsize_controller": diffrax.StepTo(TIMES)},
-            r"ImplicitEuler takes the tolerances .* StepTo has none: give the solver root_finder",
+            r"ImplicitEuler takes the tolerances .* StepTo has no tolerances: give the solver",
         ),
         ({"solver": "PIDController(1, 1)"}, "there is no solver 'PIDController"),
     ],
@@ -156,9 +156,7 @@ def test_given_steps_are_those_of_the_times():
     steps = diffrax.StepTo(TIMES[:-1])
     with pytest.raises(InputError, match=r"StepTo covers \[0.0, 1.9.*\] s, but the times cover"):
         move(stepsize_controller=steps)
-    with pytest.raises(
-        InputError, match="StepTo holds the times of a single run: give an adaptive"
-    ):
+    with pytest.raises(InputError, match="StepTo contains the step times of a single run: give"):
         giajax.ArmModel(ARM, stepsize_controller=steps)
 
 
@@ -179,7 +177,7 @@ def test_text_is_read_as_it_was_written(solver):
 
 @giajax.register
 class Known(Own):
-    """That files can name."""
+    """A method that files can name."""
 
     registered_as = "solver"
 

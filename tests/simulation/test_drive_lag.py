@@ -1,4 +1,4 @@
-"""Drives that follow their command with a lag: motions, energy, what is refused, and a fit."""
+"""Drives that follow their command with a lag: motions, energy, invalid values, and a fit."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def commanded(times):
 
 
 def followed(times, values, lag):
-    """The filter by small steps, each exact for an input that is linear in it."""
+    """Filter by small steps, each of which is exact for a linear input."""
     rows = [values[0]]
     for step, before, after in zip(np.diff(times), values[:-1], values[1:], strict=True):
         slope, kept = (after - before) / step, np.exp(-step / lag)
@@ -57,7 +57,7 @@ def test_an_arm_moves_as_one_whose_command_is_filtered_before(solver, options):
 
 @pytest.mark.slow
 def test_a_jump_takes_the_lag():
-    """After a jump the spring is at 1 - exp(-t / lag) of it, and the steps are few."""
+    """After a jump, the spring is at 1 - exp(-t / lag) of it, and there are few steps."""
     found = simulate(arm(0.2), joint_steps(LINKS, {1: 0.5}, time=0.5), TIMES)
     expected = np.where(TIMES < 0.5, 0, 0.5 * -np.expm1(-(TIMES - 0.5) / 0.2))
     np.testing.assert_allclose(found.followed[:, 0], expected, atol=1e-12)
@@ -67,7 +67,7 @@ def test_a_jump_takes_the_lag():
 
 @pytest.mark.slow
 def test_energy_changes_by_the_work_of_the_spring_that_follows():
-    """dE/dt = k (y - q) dy/dt less what drag and dampers take, with y behind the command."""
+    """dE/dt = k (y - q) dy/dt minus the power of drag and dampers; y is the delayed command."""
     times = np.linspace(0.0, 3.0, 1501)
     moved = simulate(arm(LAGS), ramps(CORNERS, ANGLES), times, rtol=1e-9, atol=1e-9)
 
@@ -111,6 +111,6 @@ def test_a_lag_is_found_together_with_the_drag_coefficient():
         assert abs(found.value - known) < 3 * found.standard_error, path
         assert found.standard_error < 0.3 * known, path
     assert result.gradient_check.relative_difference < 1e-5
-    # A lag for each joint is written, read and tested as one for all.
+    # A lag for each joint can be written, read and tested like a common one.
     again = ArmModel.from_definition(ArmModel(arm(LAGS)).definition())
     np.testing.assert_array_equal(again.arm.joints.drive_lag, LAGS)

@@ -1,4 +1,4 @@
-"""In JAX's default precision, in a process of its own: less exact, but right and finite."""
+"""Simulation in JAX's default precision, in a separate process: less exact, but finite."""
 
 import json
 import os

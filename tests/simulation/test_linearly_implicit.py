@@ -1,4 +1,4 @@
-"""The linearly implicit method: its order conditions, its order, and what it is for."""
+"""The linearly implicit method: its order conditions, its order, and its purpose."""
 
 from functools import lru_cache
 from itertools import combinations_with_replacement
@@ -28,21 +28,21 @@ from giajax.simulation import (
 )
 from peers.arms import driven_arm
 
-# Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A tree is a node of
-# the equation's f, with any number of branches, or of the matrix J, which is linear and has one.
-# Written as W-method, a stage is Y = y0 + sum A h f(Y) + sum B h J Y. The solution has no J in
-# it, whatever J is: the weight of a tree with a J must vanish, that of any other one is 1 / gamma.
+# Order conditions of W-methods (Hairer and Wanner, Solving ODEs II, IV.7). A node of a tree is the
+# equation's f, with any number of branches, or the matrix J, which is linear and has one branch. In
+# the form of a W-method, a stage is Y = y0 + sum A h f(Y) + sum B h J Y. The solution does not
+# depend on J, so the weight of a tree with a J must vanish. That of any other tree is 1 / gamma.
 
 
 @lru_cache
 def trees(order):
-    """Trees of a number of nodes, as (kind, branches)."""
+    """Return the trees with this number of nodes, as (kind, branches)."""
     found = [("J", (tree,)) for tree in (trees(order - 1) if order > 1 else ())]
     return [("f", branches) for branches in forests(order - 1)] + found
 
 
 def forests(order, largest=None):
-    """Multisets of trees of so many nodes in all."""
+    """Return multisets of trees with this total number of nodes."""
     if order == 0:
         return [()]
     found = []
@@ -68,13 +68,13 @@ def has_matrix(tree):
 
 
 def stages(tree, A, B):
-    """What a branch adds to each stage, before its own sum over stages."""
+    """Return the contribution of a branch to each stage, before its own sum over stages."""
     grown = [(A if branch[0] == "f" else B) @ stages(branch, A, B) for branch in tree[1]]
     return np.prod([np.ones(len(A)), *grown], axis=0)
 
 
 def residuals(weights, order):
-    """How far every condition up to an order is from being met."""
+    """Return the residual of every condition up to an order."""
     combine, _, _, gamma = tableau()
     size = len(combine) - 1
     A, B = np.moveaxis(combine[:-1, :size], 2, 0)
@@ -83,14 +83,14 @@ def residuals(weights, order):
         weights @ stages(tree, A, B) - (0 if has_matrix(tree) else 1 / density(tree))
         for nodes_of in range(1, order + 1)
         for tree in trees(nodes_of)
-        if tree[0] == "f"  # the end of the step is a sum of slopes
+        if tree[0] == "f"  # the result of the step is a sum of slopes
     ]
 
 
 def test_there_are_as_many_trees_as_there_are():
     found = [[tree for tree in trees(order) if tree[0] == "f"] for order in range(1, 6)]
-    # The rooted trees, and by hand those with a J: none, none, f(J(f)) and then f(f, J(f)),
-    # f(f(J(f))), f(J(f(f))) and f(J(J(f))).
+    # The number of rooted trees is known. By hand, those with a J are: none, none, f(J(f)), and
+    # then f(f, J(f)), f(f(J(f))), f(J(f(f))) and f(J(J(f))).
     assert [sum(not has_matrix(tree) for tree in each) for each in found] == [1, 1, 2, 4, 9]
     assert [sum(has_matrix(tree) for tree in each) for each in found[:4]] == [0, 0, 1, 4]
 
@@ -98,7 +98,7 @@ def test_there_are_as_many_trees_as_there_are():
 def test_the_conditions_hold_for_any_matrix():
     combine, _, error, _ = tableau()
     weights = combine[-1, : len(error) - 1, 0]
-    # The coefficients are quotients of integers of thirteen digits.
+    # The coefficients are quotients of integers with thirteen digits.
     assert_allclose(residuals(weights, 5), 0, atol=1e-11)
     embedded = weights - error[:-1]
     assert_allclose(residuals(embedded, 4), 0, atol=1e-11)
@@ -110,7 +110,7 @@ TIMES = np.linspace(0.0, 1.0, 41)
 
 
 def pushed(stiffness, steps, solver=None):
-    """A second of an arm that is let go of, in a cross-wind, by steps of one length."""
+    """Simulate an arm in a cross-wind for one second, from rest, with steps of fixed length."""
     arm = replace(takeichi_20m(6), {"joints.yaw_stiffness": stiffness, "joints.damping": 0.3})
     inputs = Inputs(
         arm, constant([0.6, 0.0, 0.3, 0.0, 0.0, 0.0]), constant([0.1, 0.5, 0.2]), None, jnp.ones(())
@@ -134,7 +134,7 @@ def test_a_step_is_the_same_whichever_way_it_can_be_differentiated():
 
 
 def observed_orders(stiffness, steps):
-    """Of the angles and the rates at 41 times, from coarse to fine."""
+    """Return the observed orders of angles and rates at 41 times, from coarse to fine steps."""
     exact = pushed(stiffness, 4096)
     errors = np.stack(
         [np.abs(pushed(stiffness, count) - exact).max(axis=(0, 2)) for count in steps]
@@ -164,7 +164,7 @@ def test_a_stiff_arm_is_stable_with_steps_that_an_explicit_method_cannot_take():
 
 
 def test_what_pulls_is_the_command_and_the_drive():
-    """The change of the torque that the motion has between two times, in one state."""
+    """The change of the torque between two times in the same state, compared with the motion."""
     command = ramps([0.0, 1.0], [np.zeros(4), [0.0, 0.4, 0.1, 0.0]])
     drive = ramps([0.0, 1.0], [np.zeros(4), [0.3, 0.0, 0.0, 0.2]])
     inputs = Inputs(takeichi_20m(4), command, None, drive, jnp.ones(()))
@@ -182,7 +182,7 @@ def test_what_pulls_is_the_command_and_the_drive():
 
 @pytest.mark.slow
 def test_the_springs_are_those_of_the_motion():
-    """At rest in still air nothing but springs and dampers changes the accelerations."""
+    """At rest in still air, the Jacobian of the accelerations contains only springs and dampers."""
     arm = replace(takeichi_20m(4), {"joints.damping": 0.3})
     inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
     rest = jnp.zeros((2, 4))
@@ -199,7 +199,7 @@ def test_the_springs_are_those_of_the_motion():
 
 @pytest.mark.slow
 def test_the_strain_of_joints_is_that_of_the_motion():
-    """Of their torque by their states, and of the states by the rates, at a turn and sliding."""
+    """Derivatives of torques by states and of states by rates, at a reversal and while sliding."""
     arm = replace(takeichi_20m(4), {"joints.memory.strength": 0.2, "joints.memory.delta": 0.2})
     inputs = Inputs(arm, constant(np.zeros(4)), None, None, jnp.ones(()))
     states = jnp.asarray([0.3, -0.9, 0.5, 0.0])
@@ -220,7 +220,7 @@ POINT = jnp.array([1.2, 3.0, 300.0, 0.05, 0.0, 0.0, 0.0])
 
 
 def angles(vector, solver, tolerance=1e-8, derivatives="forward"):
-    """Of a run, by parameters and the wind across, which is at rest."""
+    """Return the angles of a run for parameters and a wind, which is zero here."""
     values = dict(zip(NAMES, vector[:4], strict=True))
     return simulate(
         replace(ARM, values),
@@ -243,7 +243,7 @@ def jacobian(solver, tolerance):
 
 @pytest.mark.slow
 def test_derivatives_are_those_of_an_explicit_method():
-    """Which are those of central differences: see the test of derivatives."""
+    """Another test compares these with central differences."""
     expected, tight, loose = (
         np.asarray(jacobian(solver, jnp.asarray(tolerance)))
         for solver, tolerance in (("dopri8", 1e-11), ("springs5", 1e-10), ("springs5", 1e-6))
@@ -251,13 +251,13 @@ def test_derivatives_are_those_of_an_explicit_method():
     scale = np.abs(expected).max(axis=(0, 1))
     assert np.all(scale > 1e-5)
     assert_allclose(tight / scale, expected / scale, rtol=0, atol=2e-5)
-    # Least exact for the stiffness of the fast joints, which is that of their frequency.
+    # The error is largest for the stiffness of the fast joints, which changes their frequency.
     assert_allclose(loose / scale, expected / scale, rtol=0, atol=2e-2)
 
 
 @pytest.mark.slow
 def test_reverse_mode_is_forward_mode():
-    # The largest program of all tests needs a compiler that holds few others.
+    # The largest program of all tests needs a compiler process that holds few others.
     jax.clear_caches()
     seen = jnp.asarray(np.random.default_rng(0).normal(size=(21, 4)))
 
@@ -275,12 +275,12 @@ def test_a_batch_is_each():
     points = jnp.stack([POINT.at[2].set(stiffness) for stiffness in stiffnesses])
     together = jax.vmap(lambda x: angles(x, "springs5", 1e-6))(points)
     for one, point in zip(together, points, strict=True):
-        # Rounding may move the steps, by far less than the tolerance is worth.
+        # Rounding may change the steps, with an effect far below the tolerance.
         assert_allclose(one, angles(point, "springs5", 1e-6), rtol=0, atol=1e-6)
 
 
 def steps_of_both(stiffness, command):
-    """Of Tsit5 and of springs5, whose motions agree."""
+    """Return the numbers of steps of Tsit5 and springs5, whose motions agree."""
     arm = replace(takeichi_20m(4), {"joints.yaw_stiffness": stiffness})
     options = {"wind": [0.0, 0.1, 0.0], "rtol": 1e-6, "atol": 1e-6}
     explicit, implicit = (
@@ -299,14 +299,14 @@ def test_steps_do_not_grow_with_the_stiffness_as_those_of_explicit_methods():
 
 @pytest.mark.slow
 def test_a_stiff_joint_follows_its_command_in_long_steps():
-    """With the spring alone implicit, and not what pulls at it, they were half as long."""
+    """Steps were half as long when only the spring was implicit, not the pull on it."""
     command = joint_ramps(4, {2: 0.5}, start=0.5, duration=3.0)
     assert steps_of_both(300.0, command)[1] < 700
 
 
 @pytest.mark.slow
 def test_a_tolerance_means_the_error_that_it_means_with_an_explicit_method():
-    """With errors of rates that count fully, a tolerance of 1e-8 meant a fifth of the error."""
+    """When errors of rates had full weight, a tolerance of 1e-8 gave a fifth of the usual error."""
     arm, command = driven_arm()
     times = np.linspace(0.0, 25.0, 51)
 
@@ -323,7 +323,7 @@ def test_a_tolerance_means_the_error_that_it_means_with_an_explicit_method():
 
 @pytest.mark.slow
 def test_a_jump_starts_anew():
-    """A slope from before the jump would spoil the first step after it."""
+    """A slope from before the jump would corrupt the first step after it."""
     command = joint_steps(4, {1: 0.5, 2: 0.3}, time=1.234)
     options = {"rtol": 1e-9, "atol": 1e-9}
     explicit, implicit = (

@@ -1,4 +1,4 @@
-"""Logged commands: steps go over the rows that are no corners, as exactly as their tolerance."""
+"""Logged commands: steps may cross rows that are not corners, within their tolerance."""
 
 import equinox as eqx
 import jax
@@ -17,13 +17,13 @@ COARSE = {"solver": "springs5", "rtol": 1e-4, "atol": 1e-4}
 
 
 def stopped(command):
-    """The same signal, over none of whose rows a step may go."""
+    """Return the same signal, but no step may cross any of its rows."""
     rough = jnp.full_like(command.roughness, jnp.inf)
     return eqx.tree_at(lambda signal: signal.roughness, command, rough)
 
 
 def padded(command, knots):
-    """The same signal with its last knot repeated, so that one compiled program serves all."""
+    """Return the same signal with its last knot repeated, so one compiled program serves all."""
     last = jax.tree.map(lambda x: x[-1:], stopped(command))
     more = knots - command.times.shape[0]
     return jax.tree.map(lambda x, end: jnp.concatenate([x, *[end] * more]), command, last)
@@ -31,7 +31,7 @@ def padded(command, knots):
 
 @pytest.mark.slow
 def test_steps_go_over_rows_of_a_smooth_command_within_their_tolerance():
-    """Fewer by a third, as exact as they should be, and the same steps whatever the last bits."""
+    """There are a third fewer steps at the same accuracy, and rounding does not change them."""
     times = np.linspace(0.0, 5.0, 51)
     command = ramps(times, 0.3 * (1 - np.cos(0.3 * times))[:, None] * np.array([1.0, 0.5, 0.0]))
     crossing = simulate(ARM, command, times, **COARSE)
@@ -50,7 +50,7 @@ def wave(times):
 
 
 def kinks(times):
-    """Ramps between holds, on a small wave, and a pulse narrower than a step is long."""
+    """Return ramps between holds, with a small wave and a pulse that is narrower than a step."""
     knots = np.sort(np.r_[np.arange(0.0, 600.0, 30.0), np.arange(1.5, 600.0, 30.0)])
     ramped = np.interp(times, knots, 0.3 * np.tile([0.0, 1.0, 1.0, 0.0], 10))
     return 0.2 * wave(times) + ramped + 0.05 * (np.abs(times - 295.2) < 0.15)
@@ -59,7 +59,7 @@ def kinks(times):
 @pytest.mark.slow
 @pytest.mark.parametrize("log", [wave, kinks])
 def test_ten_minutes_of_rows_are_as_exact_as_their_tolerance(log):
-    """With and without kinks, against steps that stop at each row, of another method."""
+    """With and without corners, compared with another method whose steps end at each row."""
     rows = np.arange(0.0, 600.0, 0.1)
     values = log(rows)[:, None] * np.array([1.0, 0.3, 0.0])
     command = padded(ramps(rows, values, tolerance=0), len(rows))

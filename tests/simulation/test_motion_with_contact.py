@@ -1,4 +1,4 @@
-"""Motion among obstacles: against MuJoCo, at rest, and over random impacts."""
+"""Motion among obstacles: compared with MuJoCo, at rest, and over random impacts."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ THEIRS = {}
         pytest.param(WALL, 1, "springs5", marks=pytest.mark.slow),
         pytest.param(EDGE, 2, "springs5", marks=pytest.mark.slow),
         pytest.param(WALL, 1, "tsit5", marks=pytest.mark.slow),
-        # That both solvers agree is asserted below.
+        # The test below compares both solvers.
         pytest.param(EDGE, 2, "tsit5", marks=pytest.mark.long),
     ],
     ids=[
@@ -54,14 +54,14 @@ THEIRS = {}
     ],
 )
 def test_the_same_penalty_in_mujoco(box, joint, solver):
-    """With its own distances at 200 points of each link; ours has 15 in each contact."""
+    """MuJoCo uses its own distances at 200 points per link; giajax uses 15 in each contact."""
     arm = arm_at(box, pressure=200.0)
     command = joint_ramps(2, {joint: 0.6}, start=0.0, duration=0.25)
     times = np.linspace(0.0, 2.0, 41)
     motion = simulate(arm, command, times, solver=solver, rtol=1e-8, atol=1e-8)
     flat = contacts(motion).flattening
     assert 2e-3 < flat.max() < 0.15
-    if joint not in THEIRS:  # the same for each solver
+    if joint not in THEIRS:  # one reference for both solvers
         THEIRS[joint] = MujocoContact(arm, [box], command).trajectory(times, 0.005)
     expected = THEIRS[joint]
     theirs = dataclasses.replace(motion, angles=jnp.asarray(expected[:, 0]))
@@ -69,7 +69,7 @@ def test_the_same_penalty_in_mujoco(box, joint, solver):
 
 
 def resting():
-    """A link on the ground under its weight, which the wind pushes aside."""
+    """Simulate a link that rests on the ground, while the wind pushes it sideways."""
     ground = Plane(centre=[0.0, 0.0, -0.6])
     return takeichi_20m(
         2,
@@ -93,18 +93,18 @@ def test_what_rests_does_not_drift():
     motion = simulate(arm, still, times, **about)
     tip = np.asarray(motion.tip)
     assert np.abs(tip[-1] - tip[30]).max() < 1e-7
-    # Without friction it ends elsewhere, with it within the cone.
+    # Without friction, the final position differs; with it, the force is within the friction cone.
     smooth = dataclasses.replace(arm, contact=dataclasses.replace(arm.contact, friction=None))
     slid = simulate(smooth, still, times, **about)
     assert np.linalg.norm(np.asarray(slid.tip[-1]) - tip[-1]) > 0.1
     force = np.asarray(contacts(motion).force[-1, 1, 0])
     assert 0.01 < np.hypot(force[0], force[1]) < 0.5 * force[2] * (1 + 1e-9)
-    # What is implicit costs no steps: a second or two each, with a skin of 138 rad/s.
+    # Implicit contact needs few steps: the skin has 138 rad/s, and each run takes a second or two.
     assert int(motion.steps.sum()) < 4000
 
 
 def test_impulse_is_what_the_motion_lost():
-    """A free link that bounces off a wall: twice its angular momentum, but for the damping."""
+    """A free link that bounces off a wall: twice its angular momentum, apart from the damping."""
     wall = Box(centre=[0.9, 0.0, -0.45], size=[0.3, 0.6, 0.4])
     none = {"joints.pitch_stiffness": 1e-9, "joints.damping": 0.0, "air.drag_coefficient": 1e-9}
     none |= {"links.pressure": 50.0}
@@ -123,7 +123,7 @@ def test_impulse_is_what_the_motion_lost():
             assert rate > -0.75
         moment = inertia * (rate + 0.8)
         push = found.impulse[0, 0, 2]
-        # The wall begins at x = 0.75, so that the lever is between there and the tip.
+        # The wall starts at x = 0.75, so the lever is between this and the tip.
         assert 0.7 < moment / float(push) < 0.99
 
 
@@ -137,7 +137,7 @@ SCENE = (
 @pytest.mark.parametrize(
     ("solver", "obstacles", "count"),
     [
-        # With so few pairs of links and boxes, all are looked at together.
+        # With so few pairs of links and boxes, all are evaluated together.
         pytest.param("springs5", SCENE[:2], 30, marks=pytest.mark.slow),
         pytest.param("tsit5", SCENE, 15, marks=pytest.mark.slow),
         pytest.param("springs5", SCENE, 1000, marks=pytest.mark.long),
@@ -146,9 +146,9 @@ SCENE = (
     ids=["springs5-30", "tsit5-15", "springs5-1000", "tsit5-1000"],
 )
 def test_energy_does_not_grow_over_random_impacts(solver, obstacles, count):
-    """Without air and joint damping: what is left is contact, with friction and damping.
+    """Without air and joint damping, only contact with friction and damping remains.
 
-    The force is the derivative of the energy as it is computed, however few the points.
+    The force is the derivative of the computed energy, even if there are few points.
     """
     none = {"joints.damping": 0.0, "air.drag_coefficient": 0.0}
     contact = Contact(obstacles=obstacles, friction=0.3, points=2)
@@ -178,7 +178,7 @@ def test_energy_does_not_grow_over_random_impacts(solver, obstacles, count):
 
     random = np.random.default_rng(11)
     rates = jnp.asarray(random.normal(size=(count, 3)) * 0.6)
-    # One after the other: in a batch, each would take as long as the slowest.
+    # One after the other, because in a batch each would take as long as the slowest.
     found = jax.jit(lambda rates: jax.lax.map(energies, rates))(rates)
     energy, pressed, good = map(np.asarray, found)
     assert good.all()
@@ -192,19 +192,19 @@ def test_energy_does_not_grow_over_random_impacts(solver, obstacles, count):
 @pytest.mark.slow
 def test_both_solvers_agree():
     arm = resting()
-    times = np.linspace(0.0, 3.0, 36)  # as many as above: the same program
+    times = np.linspace(0.0, 3.0, 36)  # as many as above, so the program is the same
     still = constant(jnp.zeros(2))
     tips = [
         simulate(arm, still, times, wind=[0.0, 1.0, 0.0], solver=solver, rtol=1e-8, atol=1e-8).tip
         for solver in ("tsit5", "springs5")
     ]
-    # Where skin slides its stretch ends steps, and depends on where they are.
+    # For sliding skin, its stretch ends steps and depends on where they end.
     assert_allclose(tips[0], tips[1], atol=3e-4)
 
 
 @pytest.mark.slow
 def test_joints_that_remember_and_links_that_stick_go_together():
-    """Of twenty links that was a program which XLA refused."""
+    """XLA refused this program for twenty links."""
     ground = Plane(centre=[0.0, 0.0, -0.2])
     arm = giajax.takeichi_20m(
         contact=Contact(obstacles=(ground,), friction=0.3),
@@ -220,7 +220,7 @@ def test_joints_that_remember_and_links_that_stick_go_together():
     free = simulate(
         dataclasses.replace(arm, contact=None), command, motion.times, solver="springs5"
     )
-    # Until half a second before it is seen to touch.
+    # Up to half a second before contact is visible.
     before = int(np.argmax(np.any(found.flattening > 0, axis=(1, 2)))) - 2
     assert before > 1
     assert_allclose(motion.angles[:before], free.angles[:before], atol=1e-5)
@@ -240,7 +240,7 @@ def test_derivatives_through_an_impact_are_differences():
         return motion.tip[-1]
 
     at = jnp.asarray([300.0, 3.0])
-    # One program for values and slopes.
+    # One program for values and derivatives.
     along = jax.jit(lambda at, change: jax.jvp(lambda at: end(*at), (at,), (change,)))
     for step, change in zip((0.05, 5e-4), jnp.eye(2), strict=True):
         slope = along(at, change)[1]

@@ -1,4 +1,4 @@
-"""Arms whose joints remember: against fixed steps, and after a command that goes and comes back."""
+"""Arms with joint hysteresis: compared with fixed steps, and after a command that returns."""
 
 import functools
 
@@ -30,13 +30,13 @@ LAWS = {"dahl": BOUC_WEN, "bouc-wen": SHARP, "stops": STOPS, "both": BOUC_WEN | 
 
 
 def arm_with(parameters, links=LINKS):
-    # Quickly moved to and fro: there are reversals in each joint, at rest and under way.
+    # The fast command causes reversals in each joint, at rest and in motion.
     own = {"joints.pitch_stiffness": 3.0, "joints.yaw_stiffness": 5.0, "joints.damping": 0.02}
     return takeichi_20m(links, parameters=own | {"air.added_mass_coefficient": 1.0} | parameters)
 
 
 def to_and_fro(links=LINKS):
-    """A command that goes to an angle and comes back to 0."""
+    """Return a command that goes to an angle and returns to 0."""
     times = np.asarray([0.0, 0.1, 0.3, 0.9, 1.0, 100.0])
     values = np.zeros((6, links))
     values[2:4, :2] = 0.5, -0.3
@@ -45,7 +45,7 @@ def to_and_fro(links=LINKS):
 
 @eqx.filter_jit
 def by_fixed_steps(arm, command, count):
-    """Angles (rad) at the end of equal steps of the classical method, and at their halves."""
+    """Return angles (rad) at the ends of equal steps of classical Runge-Kutta, and at midpoints."""
     step, laws = END / count, arm.joints.further_laws
 
     def slope(time, state):
@@ -92,7 +92,7 @@ def test_joints_do_not_come_back():
     motion = simulate(arm, to_and_fro(), times)
     at_rest = motion.angles[-1]
     assert_allclose(motion.rates[-1], 0, atol=2e-3)
-    # Friction holds what is left of the spring's pull.
+    # Friction balances the remaining torque of the spring.
     held = np.asarray([3.0, 5.0]) * np.abs(np.asarray(at_rest))
     assert np.all(held <= 0.3)
     free = simulate(arm_with({"joints.damping": 1.5}), to_and_fro(), times)
@@ -120,19 +120,19 @@ def test_derivatives_are_slopes(solver):
     @jax.jit
     def angles(values):
         own = replace(arm, dict(zip(paths, values, strict=True)))
-        # Ten times more loosely the corners, a few bits of which decide what ends at them, leave a
-        # derivative 5 % off.
+        # With a ten times larger tolerance, rounding decides which corners end a step, which
+        # changes a derivative by 5 %.
         motion = simulate(own, command, times, solver=solver, rtol=1e-9, atol=1e-9, throw=False)
         return motion.angles
 
     found = jax.jit(jax.jacfwd(angles))(start)
     assert np.all(np.isfinite(found))
     for index in range(len(paths)):
-        # Over a longer difference other steps end at the corners.
+        # With a larger difference, steps would end at other corners.
         step = 2e-4 * start[index]
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
-        # Differences of a motion with corners are no better.
+        # Differences of a motion with corners are not more accurate.
         assert_allclose(found[..., index], slope, atol=0.02 * np.max(np.abs(slope)))
 
 
@@ -178,7 +178,7 @@ def test_bad_values_are_refused():
 
 @pytest.mark.slow
 def test_a_derivative_by_when_a_command_turns_is_that_of_the_motion():
-    """Not of the steps that end there, of which each later one depends on those before."""
+    """It excludes the derivatives of the step ends, each of which depends on earlier ones."""
     arm = arm_with({"joints.memory.strength": 0.1, "joints.memory.yield_angle": 0.005})
     times = np.linspace(0.0, END, 21)
 
@@ -194,7 +194,7 @@ def test_a_derivative_by_when_a_command_turns_is_that_of_the_motion():
     found = jax.jvp(angles, (at,), (jnp.ones(()),))[1]
     expected = (angles(at + step) - angles(at - step)) / (2 * step)
     assert np.abs(expected).max() > 0.2
-    # With steps that move with the command it was off by thousands.
+    # With steps that move with the command, the error was in the thousands.
     assert_allclose(found, expected, atol=0.1)
 
 
@@ -207,7 +207,7 @@ TAKEICHI = {
 @pytest.mark.slow
 @pytest.mark.parametrize("law", TAKEICHI)
 def test_turns_of_many_joints_cost_few_steps(law):
-    """A few more than without: in these 25 s joints turn round more often than there are steps."""
+    """A few more than without hysteresis, although in 25 s there are more reversals than steps."""
     command = joint_ramps(20, {1: np.deg2rad(30), 2: np.deg2rad(20)}, start=0.5, duration=1.0)
     times = np.linspace(0.0, 25.0, 251)
     arms = {"plain": takeichi_20m(), law: takeichi_20m(parameters=TAKEICHI[law])}
@@ -223,7 +223,7 @@ def test_turns_of_many_joints_cost_few_steps(law):
 
 @pytest.mark.slow
 def test_states_between_two_steps_are_those_of_the_way():
-    """At samples within long steps, of joints that turn in them, as by short ones."""
+    """At samples within long steps in which joints reverse, compared with short steps."""
     arm = arm_with({"joints.memory.strength": 0.1, "joints.memory.yield_angle": 0.02})
     times = np.linspace(0.0, END, 201)
     long, short = (
@@ -237,7 +237,7 @@ def test_states_between_two_steps_are_those_of_the_way():
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["dahl", "stops"])
 def test_derivatives_of_long_steps_are_those_of_short_ones(law):
-    """Joints turn within steps: a stage must have the derivatives of the side on which it ends."""
+    """Joints reverse within steps, and a stage must have the derivatives of the side of its end."""
     links, paths = 6, ["air.drag_coefficient", "joints.pitch_stiffness"]
     values = {
         "dahl": {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.001},

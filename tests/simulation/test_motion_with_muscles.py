@@ -1,4 +1,4 @@
-"""Arms whose joints have muscles: where they come to rest, jump, lag, and what moves them."""
+"""Arms with muscles in their joints: positions of rest, jumps, lags, and inputs."""
 
 import equinox as eqx
 import jax
@@ -43,7 +43,7 @@ def arm_with(parameters=DAMPED, links=LINKS, muscles="pitch"):
 
 
 def supplied(arm, command, joints=None):
-    """The pressures that hold commanded angles (rad) at all times."""
+    """Return the pressures that hold commanded angles (rad), constant in time."""
     pressures = commanded(arm.pneumatics, jnp.asarray(command))
     signal = steps([0.0], [np.asarray(pressures).ravel()])
     return Pressures(signal, arm.pneumatics.joints if joints is None else joints)
@@ -54,7 +54,7 @@ SLOW_TOO = ["springs5", pytest.param("tsit5", marks=pytest.mark.slow)]
 
 @pytest.mark.parametrize("solver", SLOW_TOO)
 def test_an_arm_at_rest_has_the_controllers_angles(solver):
-    """By commanded angles and by their pressures, wherever these hold the joints."""
+    """With commanded angles and with their pressures, for angles that are stable."""
     arm = arm_with()
     target = np.deg2rad([25.0, 0.0, -30.0])
     command = joint_steps(LINKS, dict(enumerate(target, start=1)), time=0.0)
@@ -72,7 +72,7 @@ def test_an_arm_at_rest_has_the_controllers_angles(solver):
 def test_where_a_pair_is_unstable_the_joint_goes_where_the_equilibria_are():
     arm = arm_with()
     command = np.deg2rad([2.0, 0.0, 20.0])
-    # The first joint begins beside its command, and the last one on the other side of 0.
+    # The first joint starts near its command, and the last one on the other side of 0.
     begin = np.deg2rad([2.1, 0.0, -8.0])
     motion = simulate(
         arm,
@@ -80,7 +80,7 @@ def test_where_a_pair_is_unstable_the_joint_goes_where_the_equilibria_are():
         np.linspace(0.0, 500.0, 3),
         pressure=supplied(arm, command),
         initial=(begin, np.zeros(LINKS)),
-        solver="springs5",  # the program of the arm at rest above
+        solver="springs5",  # shares the program of the arm at rest above
         **EXACT,
     )
     ends = np.asarray(motion.angles[-1])
@@ -88,7 +88,7 @@ def test_where_a_pair_is_unstable_the_joint_goes_where_the_equilibria_are():
         found = equilibria(arm.pneumatics.pair, motion.pressures[-1, :, joint])
         stable = np.asarray([item.angle for item in found.stable])
         unstable = [item.angle for item in found.every if not item.stable]
-        # It is in the basin that it began in.
+        # The joint stays in its initial basin of attraction.
         nearest = min(unstable, key=lambda angle: abs(angle - begin[joint]))
         side = np.sign(begin[joint] - nearest)
         expected = min(stable[(stable - nearest) * side > 0], key=lambda a: abs(a - nearest))
@@ -97,7 +97,7 @@ def test_where_a_pair_is_unstable_the_joint_goes_where_the_equilibria_are():
 
 
 def test_pressures_that_cross_the_window_make_the_joint_jump():
-    """A slow way from 20 to -32 deg: the joint follows its branch to the end, and then jumps."""
+    """On a slow path from 20 to -32 deg, the joint follows its branch to the end and jumps."""
     arm = arm_with({"joints.damping": 0.5}, links=1)
     times = np.linspace(0.0, 2000.0, 401)
     command = np.interp(times, [0, 2000], np.deg2rad([20.0, -32.0]))
@@ -105,7 +105,7 @@ def test_pressures_that_cross_the_window_make_the_joint_jump():
     motion = simulate(arm, logged(times, command[:, None]), times, initial=start)
     angles = np.asarray(motion.angles[:, 0])
     jump = int(np.argmin(np.diff(angles)))
-    # It stays ahead long after its command is behind, and then is where it should be.
+    # The joint stays behind its command for long, and then jumps to the correct angle.
     assert command[jump] < np.deg2rad(-20)
     assert angles[jump] - angles[jump + 1] > np.deg2rad(5)
     for row in (jump - 15, jump + 15):
@@ -131,7 +131,7 @@ def test_pressures_lag_by_an_exponential(solver):
 
 
 def swinging(lag, solver):
-    """An arm that swings where its muscles are pressed ever more, and its motion."""
+    """Return an arm that swings while its muscle pressures increase, and its motion."""
     options = {"joints.damping": 0.05, "joints.yaw_stiffness": 0.0}
     arm = arm_with(options | ({} if lag is None else {"drive.lag": lag}))
     command = joint_ramps(LINKS, {1: 0.5, 3: -0.4}, start=0.0, duration=100.0)
@@ -149,7 +149,7 @@ def test_a_short_lag_is_a_fast_motion_of_explicit_steps():
 
 
 class Stiffened(AbstractJointLaw):
-    """A bellows that its pressures stiffen; it has no controller."""
+    """A bellows whose stiffness depends on its pressures; it has no controller."""
 
     passive = False
 
@@ -168,13 +168,13 @@ def test_steps_for_derivatives_are_short_while_pressures_of_a_run_stiffen_a_law_
     rate = np.sqrt(1e-3 * 6e5 / float(jax.jit(mass_matrix)(arm, jnp.zeros(1))[0, 0]))
 
     def taken(*pressures):
-        """Steps of an arm at rest in the first and in the second of two seconds, together."""
+        """Return the steps of an arm at rest in two seconds, with one pressure in each second."""
         signal = steps([0.0, 1.0], [[pressure] * 2 for pressure in pressures])
         options = {"pressure": Pressures(signal, (1,)), "steps_for": "derivatives"}
         return int(simulate(arm, joint_steps(1, {}), np.linspace(0.0, 2.0, 3), **options).steps[0])
 
     soft, late, stiff = taken(0, 0), taken(0, 3e5), taken(3e5, 3e5)
-    # tsit5 is stable with steps of 2 / rate.
+    # tsit5 is stable for steps of 2 / rate.
     assert late - soft / 2 >= rate / 2
     assert stiff >= rate
     assert soft < rate / 2
@@ -213,14 +213,14 @@ def test_what_pressures_do_is_stored_or_lost(lag):
 @pytest.mark.parametrize(
     ("solver", "lag"),
     [
-        # Each solver and each kind of drive once.
+        # Each solver and each kind of drive occurs once.
         pytest.param("springs5", None, marks=pytest.mark.long),
         pytest.param("springs5", 0.3, marks=pytest.mark.slow),
         pytest.param("tsit5", None, marks=pytest.mark.slow),
     ],
 )
 def test_derivatives_from_rest_are_slopes(solver, lag):
-    """Of an arm that lies still and straight at first, where much of it has corners."""
+    """The arm is initially straight and at rest, where many of its laws have corners."""
     paths = ["muscle.effectiveness", "muscle.dead_band", "geometry.anchor_y", "alpha.curvature",
              "beta.offset", "air.drag_coefficient"]  # fmt: skip
     arm = arm_with(DAMPED | ({} if lag is None else {"drive.lag": lag}))
@@ -241,12 +241,13 @@ def test_derivatives_from_rest_are_slopes(solver, lag):
     found = jax.jit(jax.jacfwd(angles))(start)
     assert np.all(np.isfinite(found))
     for index, path in enumerate(paths):
-        # Smaller ones show the rounding of a motion that runs away from 0 at first.
+        # Smaller differences show rounding errors, because the motion is unstable at 0 initially.
         step = 1e-3 * start[index]
         off = jnp.zeros_like(start).at[index].set(step)
         slope = (angles(start + off) - angles(start - off)) / (2 * step)
-        # With a lag, so much of it that one direction alone and all together differ by 0.4 %.
-        # Without it springs5 is right to 0.2 % by the anchors at this tolerance, tsit5 to 0.04 %.
+        # With a lag, the derivatives along one direction and along all differ by 0.4 %. Without a
+        # lag, at this tolerance, springs5 has an error of 0.2 % for the anchors, and tsit5 of 0.04
+        # %.
         off = (4e-3 if lag is None else 1e-2) * np.max(np.abs(slope))
         assert_allclose(found[..., index], slope, atol=off, err_msg=path)
 
@@ -264,7 +265,7 @@ def test_what_muscles_cannot_do_is_refused():
     low = steps([0.0], [np.full(2 * LINKS, -5.0)])
     with pytest.raises(InputError, match="is -5 Pa"):
         simulate(arm, still, times, pressure=Pressures(low, (1,)))
-    # Only of joints that are driven by them: what is of others counts for nothing.
+    # Only pressures of joints that are driven by pressure are checked.
     check_muscles(arm, still, Pressures(steps([0.0], [[1e4, 9e9, 0, 1e4, -5.0, 9e9]]), (1,)))
     with pytest.raises(InputError, match=r"is 3e\+07 Pa: .* muscle.pressure_limit = 300000 Pa"):
         check_muscles(arm, still, Pressures(steps([0.0], [np.full(2 * LINKS, 3e7)]), (1,)))

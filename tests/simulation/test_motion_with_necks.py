@@ -1,4 +1,4 @@
-"""Arms whose joints have muscles and necks: energy, derivatives, and where they jump."""
+"""Arms with muscles and necks in their joints: energy, derivatives, and jumps."""
 
 import functools
 
@@ -33,7 +33,7 @@ def arm_with(links=1, **parameters):
 
 
 def held(arm, degrees):
-    """The pressures that hold a hinge at an angle, at all times."""
+    """Return the constant pressures that hold a hinge at an angle."""
     command = jnp.zeros(arm.count).at[0].set(np.deg2rad(degrees))
     pressures = np.asarray(commanded(arm.pneumatics, command))
     return Pressures(steps([0.0], [pressures.ravel()]), arm.pneumatics.joints), pressures
@@ -45,7 +45,7 @@ LOSSY = {"joints.damping": 0.05}
 
 @functools.cache
 def swinging(lossy=False):
-    """A joint that swings through 0: its neck is tight, wrinkles and folds on either side."""
+    """Simulate a joint that swings through 0; its neck is tight, wrinkles and folds."""
     arm = arm_with(**(LOSSY if lossy else FREE))
     pressure, _ = held(arm, 20.0)
     times = np.linspace(0.0, 2.0, 8001)
@@ -57,14 +57,14 @@ def swinging(lossy=False):
 
 
 def test_a_free_motion_at_constant_pressures_conserves_energy():
-    """Kinetic energy and the integral of the torque, of the joint at rest, over the angle."""
+    """Kinetic energy plus the integral of the static joint torque over the angle is constant."""
     arm, motion = swinging()
     angles, rates = np.asarray(motion.angles[:, 0]), np.asarray(motion.rates)
     assert angles.max() > 0.6 > -0.5 > angles.min()
     pair = arm.pneumatics.in_links(arm.links).pair
     pressures = motion.pressures[0, :, 0]
     nodes, weights = np.polynomial.legendre.leggauss(16)
-    # Pieces that are fine where the neck is tight, and end at its limits.
+    # Use short intervals where the neck is tight, which end at its limits.
     near = np.geomspace(1e-5, 0.05, 60)
     cuts = np.concatenate([near, np.linspace(0.05, 1.0, 200), [0.03 / (2 * 0.045)]])
     cuts = np.unique(np.concatenate([-cuts, [0.0], cuts]))
@@ -83,7 +83,7 @@ def test_a_free_motion_at_constant_pressures_conserves_energy():
 
 
 def test_what_pressures_do_is_stored_or_lost():
-    """With what necks take, which counts with the power of the muscles that press them."""
+    """The power that necks absorb is included in that of the muscles."""
     arm, motion = swinging(lossy=True)
     angles, rates, pressures = motion.angles, motion.rates, motion.pressures
 
@@ -109,7 +109,7 @@ START = jnp.asarray([0.045, 0.03, 1e3, 1.0])
 
 
 def swung(values, pressure, **options):
-    """Angles of a joint that swings from where it is folded through 0, by `PATHS`."""
+    """Return the angles of a joint that swings from a folded state through 0, by `PATHS`."""
     own = replace(arm_with(**LOSSY), dict(zip(PATHS, values, strict=True)))
     options |= {"steps_for": "derivatives", "throw": False, **EXACT}
     motion = simulate(
@@ -125,7 +125,7 @@ def swung(values, pressure, **options):
 
 @functools.cache
 def forwards(solver):
-    """The motion by a method as a program, and its derivatives."""
+    """Compile the motion by a method, and its derivatives."""
     pressure, _ = held(arm_with(), 20.0)
     angles = functools.partial(swung, pressure=pressure, solver=solver)
     return jax.jit(angles), jax.jit(jax.jacfwd(angles))(START)
@@ -135,7 +135,7 @@ def forwards(solver):
 def test_derivatives_of_a_motion_through_the_limits_are_slopes(solver):
     one, forward = forwards(solver)
     passed = np.asarray(one(START))
-    assert passed[0] > 0.03 / (2 * 0.045)  # folded, then wrinkled and tight, and wrinkled again
+    assert passed[0] > 0.03 / (2 * 0.045)  # folded, then wrinkled and tight, then wrinkled again
     assert passed[-1] < -0.03
     for index, value in enumerate(START):
         off = jnp.zeros(4).at[index].set(1e-5 * value)
@@ -146,7 +146,7 @@ def test_derivatives_of_a_motion_through_the_limits_are_slopes(solver):
 
 @pytest.mark.slow
 def test_derivatives_backwards_are_those_forwards():
-    """Where a neck begins to wrinkle the slope of its slope is infinite: steps have a say there."""
+    """At the onset of wrinkling, the second derivative is infinite, so steps have an effect."""
     pressure, _ = held(arm_with(), 20.0)
     options = {"pressure": pressure, "solver": "tsit5", "derivatives": "reverse"}
     weights = jnp.asarray([1.0, -2.0, 0.5, 3.0])
@@ -155,7 +155,7 @@ def test_derivatives_backwards_are_those_forwards():
 
 
 def test_a_motion_in_which_muscles_crush_the_neck_goes_on():
-    """It ends where a hinge does: the film carries nothing, and there is no number that is none."""
+    """It ends like a hinge: the film carries no load, and all numbers are finite."""
     arm = arm_with(links=1, **{"joints.damping": 0.5, "links.pressure": 200.0})
     pressure, pressures = held(arm, 12.0)
     start = (np.deg2rad([8.0]), np.zeros(1))
@@ -169,7 +169,7 @@ def test_a_motion_in_which_muscles_crush_the_neck_goes_on():
 
 
 def test_a_slow_way_through_0_is_that_of_the_joint_at_rest():
-    """The bistable pair with a neck, to and fro: it stays, folds, snaps and comes back as there."""
+    """The bistable pair with a neck stays, folds, snaps and returns as in the statics."""
     arm = arm_with(**{"joints.damping": 0.3, "neck.radius": 0.036, "neck.length": 0.02})
     degrees = np.concatenate([np.arange(30.0, -40, -1), np.arange(-40.0, 41)])
     times = np.linspace(0.0, 20.0 * degrees.size, degrees.size)
@@ -191,7 +191,7 @@ def test_a_slow_way_through_0_is_that_of_the_joint_at_rest():
     off = np.abs(moved - expected)
     jumps = np.flatnonzero(np.abs(np.diff(expected)) > np.deg2rad(5))
     assert jumps.size >= 6
-    # A jump may come a row later, as inertia and damping have it; the first row is not at rest.
+    # Inertia and damping may delay a jump by a row, and the first row is not at rest.
     apart = ~np.isin(np.arange(off.size), [0, *jumps, *(jumps + 1)])
     assert np.sum(apart) > 0.75 * off.size
     assert np.max(off[apart]) < np.deg2rad(0.7)

@@ -1,4 +1,4 @@
-"""Derivatives of `simulate` from rest by every number of an arm with every option on."""
+"""Derivatives of `simulate` from rest by every number of an arm with all options enabled."""
 
 import equinox as eqx
 import jax
@@ -14,15 +14,15 @@ from peers.arms import full_arm
 
 LINKS = 2
 TIMES = np.linspace(0.0, 1.0, 6)
-# A ramp that goes on: links that turned back would stop in still air, where the drag has its kink
-# and no integrator is as exact as its tolerance.
+# The ramp continues to the end. Links that reverse would be at rest in still air for an instant,
+# where the drag has a kink that limits the accuracy of any integrator.
 COMMAND = joint_ramps(LINKS, {1: 0.8}, start=0.0, duration=1.5)
-# Differences of rounding and of steps taken otherwise are what limits the comparison.
+# Rounding and different steps limit the accuracy of the differences.
 TIGHT = 1e-13
 
 
 def uneven():
-    """Nothing alike, in a wind that grows, so that all of it moves at once."""
+    """An arm without symmetry in a changing wind, in which all parts move."""
     wind = ramps([0.0, 1.0], [[0.2, -0.1, 0.3], [0.5, 0.2, 0.1]])
     drives = {"joints.drive_lag": 0.3, "joints.drive_gain": 0.9, "joints.drive_saturation": 0.2}
     drives |= {"joints.stiffness_factor": 1.1, "joints.stiffness_drift": 0.2}
@@ -31,9 +31,9 @@ def uneven():
 
 
 def floating():
-    """The paper's arm in its air: straight, still and afloat when the command comes.
+    """The paper's arm in its air: straight, at rest and floating when the command starts.
 
-    |V| V has its kink there, and a joint with friction its steepest slope.
+    At rest, |V| V has its kink, and joint friction has its largest slope.
     """
     options = {
         "air.wind": [0.0, 0.0, 0.0],
@@ -41,7 +41,7 @@ def floating():
         "joints.friction": 0.05,
         "joints.friction_rate": 0.3,
         "joints.armature": 0.01,
-        # A little below 0 the motion is as smooth as above.
+        # The motion is smooth around 0, including slightly negative values.
         "joints.drive_lag": 0.0,
         "joints.drive_gain": 1.0,
         "joints.drive_saturation": 0.0,
@@ -50,7 +50,7 @@ def floating():
         "joints.stiffness_factor": 1.0,
         "joints.stiffness_drift": 0.0,
     }
-    # By Reynolds number C_D is so large at first that a difference would have to be tiny.
+    # With the drag curve, C_D is so large initially that the difference would have to be tiny.
     arm = takeichi_20m_full(LINKS, drag_curve="constant", parameters=options)
     camera = {
         "point_masses.left": jnp.zeros(1),
@@ -73,7 +73,7 @@ def motion(arm, wind):
 
 @eqx.filter_jit
 def shifted(arm, wind, steps):
-    """Motions of arms whose parameters are a little off, one row each; `steps` are flat."""
+    """Return motions of arms with slightly changed parameters, one per row; `steps` are flat."""
     flat, unflatten = ravel_pytree(arm)
     return jax.vmap(lambda step: motion(unflatten(flat + step), wind))(steps)
 
@@ -89,7 +89,7 @@ def columns(arm, wind):
 
 
 def labels(arm):
-    """The path of every number of the arm, in the order in which it is flattened."""
+    """Return the path of every number of the arm, in the order of the flattened arm."""
     numbered = {}
     for path, parameter in declared(arm).items():
         for index in range(np.size(parameter.value(arm))):
@@ -101,21 +101,21 @@ def labels(arm):
     "name",
     [
         pytest.param("uneven", marks=pytest.mark.slow),
-        # The same numbers, where everything begins at rest.
+        # The same numbers, with everything initially at rest.
         pytest.param("floating", marks=pytest.mark.long),
     ],
 )
 def test_every_number_of_the_arm_has_the_derivative_that_differences_show(name):
     arm, wind = ARMS[name]()
-    # Joints with memory have corners, and tests of their own.
+    # Joints with hysteresis have corners, and are tested separately.
     assert all(absent.declaration.has_states for absent in left_out(arm).values())
     flat, _ = ravel_pytree(arm)
     names = labels(arm)
     assert len(names) == flat.size
     found = np.asarray(columns(arm, wind))
     assert np.all(np.isfinite(found))
-    # Steps that all move the arm by about 1e-5: far above the errors of the integrator, and so
-    # small that |V| V of what is set moving hardly shows.
+    # Each difference moves the arm by about 1e-5. This is far above the integration errors, and
+    # small enough for |V| V of the parts that start to move.
     moved = np.maximum(np.abs(found).max(axis=1), 1e-9)
     sizes = np.minimum(1e-5 / moved, np.where(flat == 0, 2e-6, 1e-3 * np.abs(flat)))
     steps = np.concatenate([np.diag(sizes), -np.diag(sizes)])
@@ -131,6 +131,6 @@ def test_every_number_of_the_arm_has_the_derivative_that_differences_show(name):
             wrong[label] = error
     assert wrong == {}
     if name == "uneven":
-        # Links' gas acts where something is touched: here nothing is.
+        # The gas of links has an effect only in contact, which does not occur here.
         acting = ("joints.memory.", "joints.stops.", "links.pressure[")
         assert all(label.startswith(acting) for label in still)

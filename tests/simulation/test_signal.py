@@ -1,4 +1,4 @@
-"""Inputs over time: their values against numpy, which rows are merged, and what is refused."""
+"""Inputs over time: their values compared with NumPy, merged rows, and invalid inputs."""
 
 from itertools import pairwise
 
@@ -35,7 +35,7 @@ def a_log(rows, width=3):
 
 @pytest.mark.parametrize("rows", [1, 2, 30, 700])
 def test_ramps_are_numpys_interp(rows):
-    """Beyond some hundred knots the search for the knot is another one."""
+    """For more than some hundred knots, another search for the knot is used."""
     times, values = a_log(rows)
     wanted = np.concatenate([np.linspace(times[0] - 1, times[-1] + 1, 400), times])
     expected = np.stack([np.interp(wanted, times, column) for column in values.T], axis=1)
@@ -67,7 +67,7 @@ def test_interpolation_is_chosen_by_name():
 
 @pytest.mark.parametrize("make", [steps, ramps])
 def test_what_lags_is_what_an_integrator_makes_of_it(make):
-    """lag dy/dt = u - y, piece by piece, from rest."""
+    """lag dy/dt = u - y, integrated piece by piece from rest."""
     times, values = a_log(12)
     lags = np.asarray([0.3, 0.05, 2.0])
     signal = make(times, values)
@@ -96,7 +96,7 @@ def test_without_a_lag_a_signal_is_itself():
     assert lagged(signal, None) is signal
     exact = evaluate(signal, wanted)
     assert_allclose(evaluate(lagged(signal, jnp.zeros(())), wanted), exact, atol=1e-14)
-    # What is left of it falls in proportion.
+    # The remaining difference is proportional to the lag.
     for lag in (1e-3, 1e-6, 1e-300):
         late = evaluate(lagged(signal, jnp.asarray(lag)), wanted)
         assert np.abs(late - exact).max() < 200 * lag + 1e-14
@@ -104,7 +104,7 @@ def test_without_a_lag_a_signal_is_itself():
 
 @pytest.mark.parametrize("lag", [0.0, 1e-14, 1e-9, 0.2])
 def test_derivatives_by_a_lag_are_those_of_differences(lag):
-    """At 0 that from above; forward, in reverse and under vmap."""
+    """At a lag of 0, the one-sided derivative; forward, in reverse and under vmap."""
     signal = ramps([0.5, 1.0, 1.7, 3.0], [[0.0, 0.2], [1.0, 0.0], [0.3, 0.4], [0.3, 0.4]])
     wanted = jnp.linspace(0.0, 4.0, 37)[:-1] + 0.01
 
@@ -116,7 +116,7 @@ def test_derivatives_by_a_lag_are_those_of_differences(lag):
     def slopes(lags):
         return jax.vmap(jax.jacfwd(lagged(signal, lags)))(wanted)
 
-    # By the time, too, which is how fast it follows.
+    # The derivative with respect to time is the rate of the output.
     forward, reverse, slope = (
         np.asarray(jax.jit(function)(lags))
         for function in (jax.jacfwd(values), jax.jacrev(values), slopes)
@@ -180,7 +180,7 @@ def test_rows_that_make_no_signal_are_refused(make, times, values, sentence):
 
 
 def a_ramp(rate, digits=None):
-    """A 25 s log of the benchmark's command, in degrees as people record it."""
+    """Return a 25 s log of the benchmark's command, in degrees as in a recording."""
     times = np.arange(0, 25 + 0.5 / rate, 1 / rate)
     values = np.interp(times, [0.5, 1.5], [0.0, 40 / 3])[:, None]
     return times, values if digits is None else np.round(values, digits)
@@ -189,7 +189,7 @@ def a_ramp(rate, digits=None):
 @pytest.mark.parametrize("rate", [10, 100])
 @pytest.mark.parametrize("digits", [None, 6, 4])
 def test_rows_on_a_line_are_merged(rate, digits):
-    """Also those that were rounded as a file rounds them, such as 13.3333."""
+    """This includes rows that were rounded as in a file, such as 13.3333."""
     times, values = a_ramp(rate, digits)
     signal = ramps(times, values)
     assert_allclose(signal.times, [0.0, 0.5, 1.5, 25.0], atol=1e-12)
@@ -213,7 +213,7 @@ def test_what_is_merged_stays_within_the_tolerance():
 
 
 def corner_times(signal, tolerance):
-    """Of the knots that no step may cross; each other one is one that steps may."""
+    """Return the times of knots that no step may cross; steps may cross all others."""
     corners, bends = (np.asarray(part) for part in signal.corners(jnp.asarray(tolerance)))
     assert_array_equal(np.isinf(corners), ~np.isinf(bends))
     assert_array_equal(np.minimum(corners, bends), signal.times)
@@ -257,7 +257,7 @@ def test_between_two_corners_a_signal_is_a_cubic_to_within_twenty_tolerances():
     ids=["ramp", "blip", "pulse"],
 )
 def test_what_a_long_step_might_miss_is_between_corners(feature, around):
-    """The ends of a ramp, and a narrow feature even of rows that are smooth from one to another."""
+    """The ends of a ramp, and a narrow feature, even if its rows are smooth."""
     signal = ramps(ROWS, waving(ROWS) + feature(ROWS)[:, None], tolerance=0)
     corners = corner_times(signal, 1e-5)
     assert len(corners) < len(ROWS) / 5
@@ -290,7 +290,7 @@ def test_a_signal_is_strongly_typed_and_has_a_derivative():
 
 @pytest.mark.parametrize("count", [1, 512, 513, 1000, 4999])
 def test_the_knot_before_a_time_is_that_of_a_search_however_many_there_are(count):
-    """Of many knots every so many are compared first; infinite ones are at the end."""
+    """For many knots, a subset is compared first; the last ones are infinite."""
     knots = np.sort(RANDOM.uniform(0, 10, count))
     knots[count - count // 7 :] = np.inf
     finite = knots[np.isfinite(knots)]

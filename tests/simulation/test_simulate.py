@@ -1,4 +1,4 @@
-"""Simulating: corners, failures, what is refused, and that nothing compiles twice."""
+"""Simulation: corners, failures, invalid input, and no repeated compilation."""
 
 import functools
 
@@ -35,7 +35,7 @@ KNOTS = 64
 
 
 def padded(signal, knots=KNOTS):
-    """The same signal with its last knot repeated, so that one compiled program serves all."""
+    """Return the same signal with its last knot repeated, so one compiled program serves all."""
     more = knots - signal.times.shape[0]
     last = jax.tree.map(lambda x: x[-1:], signal)
     last = eqx.tree_at(lambda s: s.slopes, last, jnp.zeros_like(last.slopes))
@@ -66,7 +66,7 @@ def test_a_trajectory_says_where_the_arm_was():
     assert motion.link_centres.shape == (51, LINKS, 3)
     assert_allclose(motion.tip[20], tip_position(ARM, motion.angles[20]), rtol=1e-14)
     assert_allclose(motion.link_centres[20], link_centres(ARM, motion.angles[20]), rtol=1e-14)
-    # The rates are those of the angles.
+    # The rates are the derivatives of the angles.
     slope = np.gradient(np.asarray(motion.angles[:, 0]), TIMES)
     assert_allclose(motion.rates[10:, 0], slope[10:], atol=0.2 * np.abs(slope).max())
     assert motion.wind is None
@@ -91,11 +91,11 @@ CORNERED = {
 
 @functools.cache
 def cornered_reference(name):
-    """Of a command, once for all solvers."""
+    """Return the reference for a command, computed once for all solvers."""
     return reference(CORNERED[name])
 
 
-# Longer steps, each nearer to its tolerance.
+# These methods take longer steps, with errors closer to their tolerance.
 WITHIN = {"tsit5": 5e-6, "springs5": 3e-5}
 
 
@@ -103,7 +103,7 @@ WITHIN = {"tsit5": 5e-6, "springs5": 3e-5}
 @pytest.mark.parametrize("solver", WITHIN)
 @pytest.mark.parametrize("name", CORNERED)
 def test_corners_do_not_hurt(name, solver):
-    """As exact as a tight integration piece by piece, without hunting for the corners."""
+    """As accurate as a tight integration piece by piece, without a search for the corners."""
     command = CORNERED[name]
     motion = move(command, solver=solver)
     assert_allclose(motion.angles, cornered_reference(name), rtol=0, atol=WITHIN[solver])
@@ -194,7 +194,7 @@ def test_a_batch_of_arms_is_each_arm():
 
 @pytest.mark.slow
 def test_what_comes_after_the_data_changes_nothing_before():
-    """Runs of different lengths share a program by repeating their last row."""
+    """Runs of different lengths share a program, in which the last row is repeated."""
     command = logged(TIMES, SINES)
     state = jnp.zeros((2, LINKS))
     tolerances = (jnp.asarray(1e-6), jnp.asarray(1e-6))
@@ -207,7 +207,7 @@ def test_what_comes_after_the_data_changes_nothing_before():
 
     plain = run(TIMES, command, wind)
     longer = run(np.append(TIMES, [5.0, 5.0, 5.0]), padded(command), padded(wind))
-    # Two programs, as their shapes differ: the last bits do, too.
+    # The shapes differ, so these are two programs with different rounding.
     assert_allclose(longer.angles[:51], plain.angles, rtol=0, atol=1e-11)
     assert_allclose(longer.rates[:51], plain.rates, rtol=0, atol=1e-11)
     assert_array_equal(longer.angles[51:], np.tile(longer.angles[50:51], (3, 1)))
@@ -258,7 +258,7 @@ def test_a_failure_has_a_code_and_a_way_on(name):
     assert bool(motion.result == code), motion.message
     assert advice in motion.message
     assert not np.all(np.isfinite(motion.angles))
-    # A fit meets many of these: it must not try a hundred thousand steps.
+    # A fit encounters many of these, so simulate must not try a hundred thousand steps.
     assert int(motion.steps.sum()) < 1000
     with pytest.raises(SimulationError) as raised:
         move(**options)

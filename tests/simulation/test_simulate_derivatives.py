@@ -1,4 +1,4 @@
-"""Derivatives of `simulate` in both modes against central differences, moving and from rest."""
+"""Derivatives of `simulate` in both modes, compared with differences, in motion and from rest."""
 
 import equinox as eqx
 import jax
@@ -16,7 +16,7 @@ TIMES = np.linspace(0.0, 3.0, 16)
 ARM = takeichi_20m(LINKS)
 UNIT = joint_ramps(LINKS, {1: 1.0, 2: 1.0, 3: 1.0}, start=0.5, duration=1.0)
 
-# What is differentiated, all at once: one flat vector in this order.
+# All inputs that are differentiated, as one flat vector in this order.
 MOVING = {
     "air.drag_coefficient": 1.2,
     "joints.pitch_stiffness": 3.0,
@@ -30,8 +30,8 @@ MOVING = {
     "angles": [0.1, -0.2, 0.3],
     "rates": [0.5, 0.2, -0.4],
 }
-# Straight, not moving, in still air without gravity, where |V| V has its kink; then moving in a
-# plane. The motion alone would let steps grow beyond what is stable for the derivatives.
+# Straight and at rest in still air without gravity, where |V| V has its kink; then a planar motion.
+# The motion alone would allow steps that are unstable for the derivatives.
 AT_REST = MOVING | {
     "base_rotation": [0.0, 0.0, 0.0],
     "gravity": 0.0,
@@ -78,7 +78,7 @@ def motion(vector, tolerance, derivatives):
 PATHS = [name for name in MOVING if "." in name or name in ("base_rotation", "gravity")]
 
 
-# At rest or in one of the two points: yaw springs of a planar motion, a turn without wind.
+# These have no effect at one of the two points: yaw springs in a planar motion, rotation in calm.
 WITHOUT_EFFECT = ("joints.yaw_stiffness", "base_rotation")
 
 
@@ -100,18 +100,18 @@ def value(vector, tolerance):
     return motion(vector, tolerance, "forward")
 
 
-# Differences of rounding and of steps taken otherwise are what limits the comparison.
+# Rounding and different steps limit the accuracy of the differences.
 TIGHT = jnp.asarray(1e-13)
-# Reverse mode integrates anew from its checkpoints. As the tests compile, that rounds otherwise,
-# and steps whose errors are little more than rounding would not be the same ones.
+# Reverse mode integrates again from its checkpoints. With the compiler options of the tests,
+# rounding differs there, so steps would differ if their errors were not well above rounding.
 REPEATED = jnp.asarray(1e-9)
 
 
 @pytest.fixture(scope="module", params=["moving", "at rest"])
 def point(request):
-    """A point and the Jacobian there by central differences."""
+    """Return a point and the Jacobian there by central differences."""
     vector = flat(MOVING if request.param == "moving" else AT_REST)
-    # Small for what starts at 0: there |V| V makes the difference wrong by the step itself.
+    # Small differences for values of 0, because the error due to |V| V is of first order there.
     sizes = np.where(vector == 0, 7e-7, 1e-4 * np.abs(vector))
     columns = [
         (value(vector.at[i].add(h), TIGHT) - value(vector.at[i].add(-h), TIGHT)) / (2 * h)
@@ -151,7 +151,7 @@ def test_the_default_tolerance_is_enough_for_a_fit():
 
 @pytest.mark.slow
 def test_nothing_has_moved_before_the_command():
-    """At rest until 0.5 s nothing has an influence, and a wind of zero has no slope."""
+    """At rest until 0.5 s, no parameter has an effect, and a wind of zero has no derivative."""
     jacobian = np.asarray(forward_jacobian(flat(AT_REST), TIGHT))
     early = np.tile(np.repeat(TIMES <= 0.5, LINKS), 2)
     for label, column in zip(LABELS, jacobian.T, strict=True):
@@ -160,7 +160,7 @@ def test_nothing_has_moved_before_the_command():
         assert np.any(column[~early] != 0) or label.startswith(WITHOUT_EFFECT), label
 
 
-# The other way round is refused while the program runs: raising.py.
+# raising.py tests the reverse case, which is refused while the program runs.
 @pytest.mark.parametrize("compiled", [False, True])
 def test_forward_through_a_reverse_simulation_is_refused_with_a_sentence(compiled):
     def last_angle(coefficient):

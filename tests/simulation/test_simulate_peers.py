@@ -1,4 +1,4 @@
-"""Trajectories against MuJoCo, and against scipy on a second formulation."""
+"""Trajectories compared with MuJoCo, and with scipy for a second formulation."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def test_the_driven_arm_moves_as_in_mujoco(driven):
     assert np.linalg.norm(tip[-1] - tip[0]) > 3
     assert_allclose(motion.tip, tip, rtol=0, atol=1e-5)
     assert_allclose(motion.angles, state[:, 0], rtol=0, atol=1e-5)
-    # Rates carry the quick yaw oscillations.
+    # The rates include the fast yaw oscillations.
     assert_allclose(motion.rates, state[:, 1], rtol=0, atol=2e-4)
 
 
@@ -39,7 +39,7 @@ def test_the_default_tolerance_keeps_its_promise(driven):
 
 @pytest.mark.slow
 def test_a_general_arm_in_a_changing_wind_moves_as_in_mujoco_and_scipy():
-    """Everything at once: axes, gravity, initial state, steps, a wind of rows."""
+    """All features at once: axes, gravity, initial state, steps, and a wind given by rows."""
     arm = general_arm(5)
     times = np.linspace(0.0, 5.0, 51)
     command = joint_steps(5, {1: 0.5, 3: -0.4}, time=1.0)

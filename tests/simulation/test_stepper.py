@@ -1,4 +1,4 @@
-"""Fixed steps with decisions on the way: the same motion as of a simulation that knew them."""
+"""Fixed steps with decisions on the way: the motion equals a simulation of all decisions."""
 
 import equinox as eqx
 import jax
@@ -35,7 +35,7 @@ ARMS = {
 
 
 def operated():
-    """What an operator does: rates of the joints that change as he likes."""
+    """Return the commands of an operator, whose joint rates change arbitrarily."""
     random = np.random.default_rng(3)
     rates = np.repeat(random.normal(size=(6, 3)) * 0.3, 10, axis=0)
     return np.concatenate([np.zeros((1, 3)), np.cumsum(rates * INTERVAL, axis=0)])
@@ -51,7 +51,7 @@ def stepped(stepper, commands, wind=None):
     return last, jnp.concatenate([jnp.zeros((1, 3)), angles])
 
 
-# What compiles in a moment goes first; contact and muscles have tests of their own beside these.
+# Cases that compile quickly come first. Contact and muscles have further tests.
 LONGER = ("lagging muscles", "ground")
 
 
@@ -67,7 +67,7 @@ def test_decisions_on_the_way_are_a_log_known_before(kind):
         np.abs(stepped(Stepper(arm, INTERVAL, steps), commands, wind)[1] - expected.angles).max()
         for steps in (1, 16)
     ]
-    # What sticks or slides, or touches, begins and ends within steps.
+    # Sticking, sliding and contact start and end within steps.
     coarse, fine = {"ground": (1e-2, 1e-4), "stops": (2e-3, 1e-4)}.get(kind, (1e-4, 1e-6))
     assert errors[0] < coarse
     assert errors[1] < fine
@@ -85,7 +85,7 @@ def test_one_at_a_time_is_all_at_once():
 
 
 def test_a_wind_comes_up_linearly():
-    """As a signal of two knots does, from one interval to the next."""
+    """It is linear between the values of consecutive intervals, like a signal with two knots."""
     arm = takeichi_20m(3, parameters=STIFF)
     stepper = Stepper(arm, INTERVAL, 4)
     moment = stepper.start(wind=np.zeros(3))
@@ -107,7 +107,7 @@ def test_derivatives_are_those_of_the_simulation():
         return stepped(Stepper(moved, INTERVAL), scale * commands)[0].angles
 
     at = np.array([1.0, 3.0])
-    # One program for values and slopes.
+    # One program for values and derivatives.
     along = jax.jit(lambda at, change: jax.jvp(lambda at: last(*at), (at,), (change,)))
     for change in np.eye(2):
         slope = along(at, change)[1]
@@ -124,11 +124,11 @@ def test_what_cannot_be_stepped_is_refused():
     with pytest.raises(InputError, match="there is no solver 'euler'"):
         Stepper(arm, 0.1, solver="euler")
     stepper = Stepper(arm, 0.1)
-    with pytest.raises(InputError, match=r"the rates of one time have the shape \(2,\): give 3"):
+    with pytest.raises(InputError, match=r"the argument rates has the shape \(2,\): give 3"):
         stepper.start(rates=[0.0, 1.0])
-    with pytest.raises(InputError, match=r"the wind of one time have the shape \(4,\): give 3"):
+    with pytest.raises(InputError, match=r"the argument wind has the shape \(4,\): give 3"):
         stepper.start(wind=[0.0, 1.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"the command of one time have the shape \(1,\)"):
+    with pytest.raises(InputError, match=r"the argument command has the shape \(1,\)"):
         stepper.advance(stepper.start(), [0.1])
     with pytest.raises(InputError, match="a wind is given after a start in still air"):
         stepper.advance(stepper.start(), np.zeros(3), [0.0, 1.0, 0.0])
@@ -136,7 +136,7 @@ def test_what_cannot_be_stepped_is_refused():
 
 @pytest.mark.slow
 def test_a_tolerance_makes_steps_as_short_as_they_need_be():
-    """An interval in which equal steps would jump onto a stiff ground."""
+    """In this interval, equal steps would be too long for the impact on a stiff ground."""
     contact = Contact(obstacles=(Plane(centre=[0.0, 0.0, -0.5]),), friction=0.5)
     stiff = STIFF | {"links.pressure": 2000.0}
     arm = takeichi_20m(3, contact=contact, gravity=9.81, parameters=stiff)

@@ -1,4 +1,4 @@
-"""The steps of a simulation are those that were asked for, whether it is differentiated or not."""
+"""A simulation takes the requested kind of steps, whether it is differentiated or not."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +13,7 @@ from giajax.simulation import constant, is_disturbance, joint_ramps, simulate
 
 LINKS = 3
 TIMES = np.linspace(0.0, 3.0, 16)
-# Planar: the stiff yaw springs rest, and only a derivative can set them swinging.
+# In a planar motion, the stiff yaw springs are at rest, and only a derivative excites them.
 ARM = replace(takeichi_20m(LINKS), {"joints.yaw_stiffness": 3e3})
 COMMAND = joint_ramps(LINKS, {1: 0.5}, start=0.5)
 STILL = jnp.zeros(3)
@@ -22,7 +22,7 @@ SOLVERS = pytest.mark.parametrize("solver", ["tsit5", "springs5"])
 
 
 def motion(coefficient, wind, **options):
-    """Angles and rates in one row, and the numbers of steps."""
+    """Return angles and rates in one array, and the numbers of steps."""
     arm = replace(ARM, {"air.drag_coefficient": coefficient})
     moved = simulate(arm, COMMAND, TIMES, wind=wind, throw=False, **options)
     return jnp.stack([moved.angles, moved.rates]).ravel(), moved.steps
@@ -39,7 +39,7 @@ def test_the_value_beside_a_derivative_is_the_value(solver, steps_for):
     value, steps = by_drag(coefficient)
     beside, slope, taken = jax.jvp(by_drag, (coefficient,), (jnp.ones(()),), has_aux=True)
     assert_array_equal(taken, steps)
-    # Two programs of the same steps differ by their rounding, which the steps make larger.
+    # Two programs with the same steps differ in rounding, which the steps amplify.
     assert_allclose(beside, value, rtol=0, atol=1e-11)
     assert np.abs(slope).max() > 0.01
 
@@ -53,7 +53,7 @@ def test_the_value_beside_a_derivative_by_the_wind_is_the_value(solver):
     value, steps = by_wind(STILL)
     beside, slope, taken = jax.jvp(by_wind, (STILL,), (jnp.ones(3),), has_aux=True)
     assert_array_equal(taken, steps)
-    # Two programs of the same steps differ by their rounding, which the steps make larger.
+    # Two programs with the same steps differ in rounding, which the steps amplify.
     assert_allclose(beside, value, rtol=0, atol=1e-11)
     assert np.abs(slope).max() > 0.01
 
@@ -61,12 +61,12 @@ def test_the_value_beside_a_derivative_by_the_wind_is_the_value(solver):
 @pytest.mark.slow
 @SOLVERS
 def test_steps_for_derivatives_keep_derivatives_across_a_planar_motion_stable(solver):
-    """By a wind across, of which the motion itself has none."""
+    """The derivative is with respect to a cross-wind, which is zero in the motion itself."""
     options = {"solver": solver, "rtol": 1e-12, "atol": 1e-12, "steps_for": "derivatives"}
     across = jnp.asarray([0.0, 1.0, 0.0])
     value = jax.jit(lambda wind: motion(1.2, wind, **options)[0])
     _, slope = jax.jvp(value, (STILL,), (across,))
-    step = 2e-5  # tiny: |V| V has its kink where the arm rests
+    step = 2e-5  # tiny, because |V| V has its kink at rest
     difference = (value(step * across) - value(-step * across)) / (2 * step)
     largest = np.abs(difference).max()
     assert largest > 1e-4

@@ -1,4 +1,4 @@
-"""What a motion must not depend on."""
+"""Invariances of a motion."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -76,7 +76,7 @@ def test_left_and_right_are_mirror_images():
 
 
 def test_waiting_first_changes_nothing():
-    """A step at 2 s is the step at 0 s two seconds later."""
+    """A step at 2 s gives the motion of a step at 0 s, two seconds later."""
     arm = takeichi_20m(LINKS)
     now = move(arm, joint_steps(LINKS, {1: 0.5}))
     later = move(arm, joint_steps(LINKS, {1: 0.5}, time=2.0))

@@ -1,4 +1,4 @@
-"""A model with everything that a suspect may be; it compiles in a moment."""
+"""A model with every kind of suspect; it compiles quickly."""
 
 import dataclasses
 from typing import Any, ClassVar, Self
@@ -19,7 +19,7 @@ TRUTH = {"amplitude": 2.0, "decay": 0.7}
 
 
 class Curve(Decay):
-    """tip_x, tip_y, tip_z of a decay, with parts that are off, held at a bound, or a choice."""
+    """tip_x, tip_y, tip_z of a decay, with parts that are disabled, at a bound, or a choice."""
 
     late: Scalar | None = parameter(0.5, unit="s", optional=True, doc="delay")
     rub: Scalar = parameter(0.0, unit="m", lower=0, doc="a part that is held at its bound")
@@ -42,7 +42,7 @@ class Curve(Decay):
 
 
 class Begun(eqx.Module):
-    """Times of a run, and a height that is its own."""
+    """Times of a run, and its own height."""
 
     times: Array
     height: Scalar = parameter(0.0, unit="m", doc="of one run")
@@ -77,7 +77,7 @@ AXES = ("tip_x", "tip_y", "tip_z")
 
 
 def recorded(*, channels=AXES, seed=0, noise=True, wave=0.0, **values: Any) -> Run:
-    """A noisy recording of the model with these values."""
+    """Simulate a noisy recording of the model with these values."""
     times = np.linspace(0.0, 4.0, 120)
     predicted, _ = curve(**values).predict(jnp.asarray(times), tuple(channels))
     predicted["tip_y" if "tip_y" in predicted else channels[0]] += wave * np.sin(9 * times)

@@ -1,4 +1,4 @@
-"""A model that is linear in its parameters, so that all that follows is in closed form."""
+"""A model that is linear in its parameters, so all results have closed forms."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -43,7 +43,7 @@ class Line(Plain):
 
 
 def columns(times: np.ndarray) -> dict[str, np.ndarray]:
-    """Derivatives of each channel by the parameters, shape (sample, parameter)."""
+    """Return the derivatives of each channel by the parameters, shape (sample, parameter)."""
     one, zero = np.ones_like(times), np.zeros_like(times)
     z = np.stack([one, times, times**2], axis=-1)
     y = np.stack([zero, np.sin(times), one], axis=-1)
@@ -51,7 +51,7 @@ def columns(times: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def recorded(seed: int, *, gap: slice = slice(0), noise: dict[str, Any] | None = None) -> Run:
-    """A noisy recording with the noise stated, and a gap in tip_y."""
+    """Simulate a recording with stated noise, and a gap in tip_y."""
     times = np.linspace(0.0, 3.0, 40)
     random = np.random.default_rng(seed)
     values = {

@@ -1,7 +1,7 @@
 """The suspects of an arm: its neutral values and its choices.
 
-That an omission comes first is asserted by `notebooks/04_trust.ipynb`, and is measured for each
-kind of omission by `evidence/_suspects.py`.
+`notebooks/04_trust.ipynb` checks that an omitted effect is ranked first, and
+`evidence/_suspects.py` measures this for each kind of effect.
 """
 
 import dataclasses
@@ -43,7 +43,7 @@ def recorded(truth, seed=0, commands=COMMANDS):
 
 
 def asked(run):
-    """What a fit of a plain arm asks for, from a start away from the truth."""
+    """Return the suspects of a fit of a plain arm, from a wrong initial guess."""
     free = list(small_arm.START)
     result = giajax.fit(arm(), run, free=free, start=small_arm.START, check=False)
     return giajax.suspects(result, run)
@@ -62,7 +62,7 @@ def test_what_a_recording_has_more_comes_first(truth):
     found = asked(recorded(truth))
     first, (path, value) = found.promising[0], next(iter(truth.items()))
     assert path in (first.path, *first.alike, *first.together)
-    # A wrong model is no reason to think that points or columns were taken for others.
+    # A wrong model must not suggest that points or columns were exchanged.
     assert all(each.kind not in ("points", "columns") for each in found.rows)
     row = found.of(path)
     assert row.p_value < 1e-6
@@ -111,7 +111,7 @@ def test_a_mistake_with_columns_is_among_the_first_suspects(name, rename, times)
 
 @pytest.mark.slow
 def test_a_table_of_all_joints_with_a_command_in_the_wrong_column_is_named():
-    """Of a model made in Python: nothing in the run says how many links there are."""
+    """The model is built in Python, so the run does not give the number of links."""
     right = recorded({})
     values = right.values | {"joint03_command": right.values["joint02_command"]}
     values |= {"joint02_command": 0 * TIMES, "joint04_command": 0 * TIMES}
@@ -123,8 +123,8 @@ def test_a_table_of_all_joints_with_a_command_in_the_wrong_column_is_named():
 
 @pytest.mark.slow
 def test_a_drive_that_does_not_move_is_named():
-    """Of four joints with commands; a fit frees its gain alone, and finds none."""
-    # They move when the others do: as many rows of commands, and the same programs.
+    """One of four commanded joints; in a fit, its gain is freed and estimated as zero."""
+    # The further joints move at the same times, so that the programs are the same.
     more = {"joint03_command": 0.1 * RAMP, "joint04_command": 0.4 * RAMP}
     run = recorded({"joints.drive_gain": [1.0, 1.0, 0.0, 1.0]}, commands=COMMANDS | more)
     free = list(small_arm.START)
@@ -141,7 +141,7 @@ def test_a_drive_that_does_not_move_is_named():
 
 
 class NothingAsked(Fits):
-    """Fits of a selection that is told what to free."""
+    """Fits for a selection whose suspects are given."""
 
     def suspects(self, result, runs):
         return None
@@ -149,7 +149,7 @@ class NothingAsked(Fits):
 
 @pytest.mark.slow
 def test_a_drive_that_seemed_to_be_weak_alone_stands_for_all_that_are():
-    """Each drive reaches 90 %, and the first step frees one of them; of one alone it stays so."""
+    """All drives reach 90 %, so the first freed gain is tied to all; if one is weak, it is not."""
     one = Suspect("joints.drive_gain[0]", "parameter", "", 1.0, 0.9, 0.01, 99.0, 1, 1e-9, True)
     for gains, tied in ((0.9, True), ([0.9, 1.0, 1.0, 1.0], False)):
         run = recorded({"joints.drive_gain": gains})
@@ -165,7 +165,7 @@ def test_a_drive_that_seemed_to_be_weak_alone_stands_for_all_that_are():
 
 
 class Refused(Fits):
-    """Fits that are asked for, and of which none can be evaluated."""
+    """Fits that are recorded, none of which can be evaluated."""
 
     def __init__(self):
         self.changes = []
@@ -179,9 +179,9 @@ class Refused(Fits):
 
 
 def test_a_memory_is_switched_on_with_its_yield_angle_free():
-    """It is a guess: were it held, what else is missing could make up for the wrong loop."""
+    """Its value is a guess, and a wrong fixed value could compensate for other omitted effects."""
     run = recorded({})
-    # With a delay of the camera its lag may be that of the drives.
+    # If the camera has a delay, a variant moves it to the drives.
     begun = replace(arm(), {"camera.delay": 0.02})
     result = giajax.fit(begun, run, free=["joints.damping"], max_iterations=2, check=False)
     climb = Climb([run], [], Refused())
@@ -222,10 +222,10 @@ def test_what_joints_remember_at_the_first_row_is_asked_of_those_that_remember()
     assert "joints.memory.initial" in arm(parameters=REMEMBERS).scattering()
 
 
-# Choices of an arm that remembers are programs that take minutes.
+# The choices of an arm with hysteresis are programs that take minutes to compile.
 @pytest.mark.long
 def test_what_joints_remember_at_the_first_row_is_the_first_suspect():
-    """Of each joint otherwise."""
+    """The initial memory differs between the joints."""
     model = arm(parameters=REMEMBERS)
     before = {"joints.memory.initial": [0.8, -0.7, -0.6, 0.8]}
     truth = replace(model, {**small_arm.TRUTH, **before})
@@ -267,7 +267,7 @@ def test_points_that_a_camera_exchanged_or_lost_are_named():
         row = first(changed)
         assert (row.path, row.kind) == (f"points: {name}", "points")
         assert row.note.endswith(when)
-        # The fit has bent to what was exchanged: its residuals have a memory in all other rows.
+        # The fit has adapted to the exchange, so the residuals of all other rows are correlated.
         assert row.p_value < 1e-3
 
 
@@ -288,7 +288,7 @@ def test_what_an_arm_may_have_more_is_a_choice(name):
     "parameters_alone", [pytest.param(True, marks=SLOW), pytest.param(False, marks=LONG)]
 )
 def test_lift_that_is_lost_in_a_run_is_named(parameters_alone):
-    """Among choices, too, each of which is a program."""
+    """This includes a comparison with choices, each of which is a program."""
     model = arm(trim=True, gravity=9.81)
     truth = replace(model, {**small_arm.TRUTH, "buoyancy.imbalance_drift": -0.01})
     noise = {"position": small_arm.NOISE}
@@ -308,8 +308,8 @@ def test_a_right_arm_is_not_accused():
 
 @pytest.mark.parametrize("seed", [pytest.param(0, marks=SLOW), pytest.param(10, marks=LONG)])
 def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed, monkeypatch):
-    """By these numbers, one link might be shown by another one's marker, as of white noise."""
-    # Choices are programs of their own, and nothing to points.
+    """If the noise were white, these data would suggest that one link shows another's marker."""
+    # The choices are separate programs that do not matter for points.
     monkeypatch.setattr(ArmModel, "variants", lambda self: {})
     times, fade = np.linspace(0.0, 12.0, 121), 0.9
     ramp = np.clip(times / 0.5, 0, 1)
@@ -329,7 +329,7 @@ def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed, monkey
 
 @pytest.mark.slow
 def test_what_is_switched_on_at_its_neutral_value_changes_nothing():
-    """Of every optional parameter that an arm with buoyancy and strip drag may have."""
+    """For every optional parameter of an arm with buoyancy and strip drag."""
     model = arm(drag="strip", buoyancy=True, trim=True, gravity=9.81)
     run = recorded({})
     encoders = {"joint01_angle": np.zeros(41), "joint01_rate": np.zeros(41)}
@@ -337,7 +337,7 @@ def test_what_is_switched_on_at_its_neutral_value_changes_nothing():
     run = giajax.Run.from_arrays(TIMES, values, definition={"arm": {"links": 4}})
     whole = inquiry(model, []).model
     assert {"air.added_mass_coefficient", "encoder.scale", "camera.scale"} <= set(left_out(model))
-    # Those would add states to the motion; a choice of the model has them.
+    # The remaining ones would add states to the motion, so choices of the model contain them.
     assert all(absent.declaration.has_states for absent in left_out(whole).values())
     plain, on = giajax.predict(model, run), giajax.predict(whole, run)
     for name, row in plain.items():
@@ -385,7 +385,7 @@ def test_choices_of_an_arm():
 
 
 def test_an_arm_that_moves_air_keeps_all_forces_per_mass():
-    """Drag, springs and dampers grow as what they move; where there is weight, nothing does."""
+    """Drag, springs and dampers are scaled by the moving mass; with gravity, nothing is scaled."""
     model = arm()
     air = model.arm.air
     moved = float(jnp.sum(air.density * model.arm.links.volume))
@@ -422,7 +422,7 @@ def test_what_is_fitted_is_not_asked_for():
     (mass,) = [one for one in asked.candidates if one.path == "links.mass"]
     assert mass.direction.step.tolist() == [1, 0, 1, 1]
     assert asked.free[1].step.tolist() == [0, 1, 0, 0]
-    # Masses that differ change in proportion.
+    # Different masses change in proportion.
     model = dataclasses.replace(
         model, arm=replace(model.arm, {"links.mass": jnp.asarray([0.04, 0.05, 0.05, 0.05])})
     )
@@ -434,7 +434,7 @@ def test_what_is_fitted_is_not_asked_for():
 
 @pytest.mark.long
 def test_added_mass_in_a_wind_that_changes_is_not_tested_where_it_is_not_neutral():
-    """Air that speeds up presses on what displaces it: with a coefficient of 0, too."""
+    """Accelerating air exerts a force on the displaced volume, even for a coefficient of 0."""
     model = replace(arm(), small_arm.TRUTH)
     wind = {"wind_x": 0.3 * RAMP, "wind_y": 0.0 * RAMP, "wind_z": 0.5 * np.sin(TIMES)}
     noise = {"position": small_arm.NOISE}

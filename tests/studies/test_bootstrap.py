@@ -1,4 +1,4 @@
-"""A linear model with normal noise, whose repetitions are known in closed form."""
+"""A linear model with normal noise, whose repeated fits have closed-form distributions."""
 
 import dataclasses
 import itertools
@@ -21,7 +21,7 @@ def found(result, runs):
 
 
 def exact_errors(runs):
-    """Square roots of the diagonal of sigma^2 (X^T X)^-1."""
+    """Return the square roots of the diagonal of sigma^2 (X^T X)^-1."""
     rows = [
         columns(run.times)[name][~np.isnan(values)]
         for run in runs
@@ -49,7 +49,7 @@ def test_the_spread_is_that_of_the_linear_model(found, runs):
 
 
 def test_what_is_known_before_is_drawn_anew(result, runs):
-    """A prior that says as much as the data, three deviations off: it is one more measurement."""
+    """A prior with as much information as the data acts like another measurement."""
     path = FREE[0]
     estimate = result.parameters[path]
     error = estimate.standard_error
@@ -65,7 +65,7 @@ def test_what_is_known_before_is_drawn_anew(result, runs):
 
 
 def test_a_repetition_is_the_least_squares_of_its_data(result, runs, found):
-    """The first one, by numpy; cells that were not measured are not in it."""
+    """The first repetition, solved in NumPy without the cells that were not measured."""
     optimum = giajax.studies.optimum_of(result, runs)
     recorded = _bootstrap.noisy(optimum, np.random.default_rng([3, 0]))
     x, y = [], []
@@ -93,7 +93,7 @@ def test_numbers_do_not_depend_on_parts_and_go_on_in_a_folder(
     def fails(*_, **__):
         raise RuntimeError("nothing is done twice")
 
-    # A task is known by the name of its function.
+    # The key of a task contains the name of its function.
     fails.__module__, fails.__qualname__ = _bootstrap.__name__, "replicates"
     monkeypatch.setattr(_bootstrap, "replicates", fails)
     assert giajax.bootstrap(result, runs, **options) == few
@@ -122,7 +122,7 @@ def test_it_is_json(found):
 
 @pytest.mark.quick
 def test_blocks_are_rows_that_follow_each_other():
-    """Residuals that are the number of their row: channels stay together, and so do neighbours."""
+    """The residuals are row numbers, which shows that channels and neighbours stay together."""
     rows = np.arange(30.0)
     rest = np.stack([rows, rows + 100], axis=-1)
     source = _bootstrap.Residuals(("a", "b"), np.zeros((30, 2)), rest, 5)
@@ -143,7 +143,7 @@ def test_blocks_are_rows_that_follow_each_other():
 
 @pytest.mark.quick
 def test_blocks_are_longer_where_residuals_remember():
-    """By the formula of Politis and White for an AR(1), which the noise model may say or not."""
+    """The formula of Politis and White for an AR(1), with and without a noise model."""
     from line import recorded
 
     run = recorded(1)
@@ -170,7 +170,7 @@ def test_what_few_repetitions_say():
     none = _bootstrap.repeated(1.0, None, "m", [1.0, 2.0], [None, None])
     assert (none.ratio, none.coverage, none.asked) == (None, None, 0)
     assert none.spread == pytest.approx(np.sqrt(0.5))
-    # By the tables of Clopper and Pearson: 8 of 10, 10 of 10.
+    # From tables of Clopper and Pearson: 8 of 10, 10 of 10.
     assert _bootstrap.binomial_interval(8, 10) == pytest.approx((0.4439, 0.9748), abs=1e-4)
     assert _bootstrap.binomial_interval(10, 10) == pytest.approx((0.6915, 1.0), abs=1e-4)
 
@@ -196,7 +196,7 @@ def test_a_fit_that_did_not_converge_is_not_repeated(result, runs):
 
 @pytest.mark.quick
 def test_drawn_noise_has_the_covariance_of_its_model():
-    """White and with a memory, over a gap, and wider where robust statistics left less weight."""
+    """White and correlated noise, across a gap, and wider where robust weights are smaller."""
     from giajax.noise import drawn
 
     times = np.array([0.0, 0.1, 0.3, 2.0, 2.1])

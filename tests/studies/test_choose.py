@@ -1,4 +1,4 @@
-"""The choice between operators: the one behind the data wins, and the criteria are right."""
+"""The choice between operators: the true operator is selected, and the criteria are correct."""
 
 import dataclasses
 import itertools
@@ -57,7 +57,7 @@ def test_the_criteria_are_what_they_say(choice):
 
 @pytest.mark.slow
 def test_fits_that_did_not_converge_sink(monkeypatch):
-    """The operator behind the data is given three steps, and the play all that it needs."""
+    """The true operator may take three steps, the play as many as it needs."""
 
     def hurried(model, runs, **options):
         iterations = 3 if "saturation" in declared(model) else 100
@@ -95,7 +95,7 @@ def test_bad_questions_are_refused():
     run = recording()
     with pytest.raises(InputError, match="unknown candidate 'duhem'"):
         choose_hysteresis([run], candidates=["duhem"])
-    with pytest.raises(InputError, match="unknown candidate: choose from: play"):
+    with pytest.raises(InputError, match="unknown candidate: choose from play"):
         choose_hysteresis([run], candidates=[])
     with pytest.raises(InputError, match="between 0 and 1"):
         choose_hysteresis([run], fraction=1.0)

@@ -1,4 +1,4 @@
-"""What results side by side are compared by: their data in any order, and what they fitted."""
+"""Comparison of results: their data in any order, and their fitted parameters."""
 
 import dataclasses
 import re
@@ -15,7 +15,7 @@ EARLIER = Path(__file__).resolve().parents[1] / "earlier" / "muscle"
 
 @pytest.fixture
 def of_two():
-    """A result as of two recordings of other noise, in both orders."""
+    """Return results of two recordings with different noise, in both orders."""
     result = load_result(EARLIER)
     state = {"initial.angle": OwnEstimate(0.0, None)}
     runs = [

@@ -1,4 +1,4 @@
-"""Explanations: what is missing is found, kept, resumed and said, and no more than that."""
+"""Explanations: omitted effects are found, stored, resumed and reported, and nothing else."""
 
 import dataclasses
 import json
@@ -25,14 +25,14 @@ from giajax.studies._explain import JOURNAL
 
 @giajax.register
 class Kept(Curve):
-    """The curve as files have it."""
+    """The curve as a kind that files can name."""
 
     kind: ClassVar[str] = "kept_curve"
     from_definition = classmethod(lambda cls, _: cls(weights=np.ones(2)))
 
 
 def kept(runs, of=None):
-    """A fit that a file holds, too."""
+    """Return a fit that a file can store, too."""
     names = [field.name for field in dataclasses.fields(Curve)]
     model = (of or Kept)(**{name: getattr(curve(), name) for name in names})
     begin = {"amplitude": 1.9, "decay": 0.75}
@@ -51,7 +51,7 @@ def test_two_omissions_are_found_and_judged_by_time_that_no_step_saw():
         one = result.parameters[path]
         assert one.value == pytest.approx(truth, abs=3 * one.standard_error)
     first, last = record.steps[0], record.steps[-1]
-    # The final model is fitted to all of it, and the steps to four fifths.
+    # The final model is fitted to all data, the steps to four fifths.
     assert sum(channel.n for run in result.runs for channel in run.channels.values()) == 360
     assert last.values == 288
     assert last.held_out == pytest.approx(1, abs=0.3)
@@ -64,7 +64,7 @@ def test_two_omissions_are_found_and_judged_by_time_that_no_step_saw():
         assert one.selection_error <= one.spread
     assert Explanation.of_json(record.to_json()) == record
     assert record.is_of(result)
-    # The ladder of the same likelihood takes the same steps.
+    # The ladder has the same likelihood, and takes the same steps.
     steps = ladder(fitted(recording), recording)
     assert [step.change for step in record.steps] == [step.change for step in steps.steps]
 
@@ -101,7 +101,7 @@ def test_what_ends_it_early_gives_all_that_was_reached():
     assert len(found.record.steps) == 2
     assert found.record.steps[1].chi_square < found.record.steps[0].chi_square
     assert found.record.fit
-    # It is of four fifths of the data, which it says, and of which its file is read again.
+    # The result reports that it uses four fifths of the data, which are read again from the file.
     assert any("the fit of the last step" in sentence for sentence in found.result.conditions)
     (about,) = found.result.config["runs"]
     assert about["held_from"] == dict.fromkeys(recording.observations, 96)
@@ -203,7 +203,7 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
     files = [read_run(run.path) for run in found.result.runs]
     assert [run.sha256 for run in files] == [run.sha256 for run in found.result.runs]
     assert files[0].sha256 != files[1].sha256
-    # The journal is of this, and gives the same without a fit.
+    # The journal belongs to this explanation, and gives the same result without a fit.
     told = []
     again = explain(kept(runs), runs, folder=tmp_path, say=told.append)
     assert again.record == found.record
@@ -214,7 +214,7 @@ def test_turned_runs_are_files_of_their_own_and_no_users(tmp_path):
 
 @giajax.register
 class Kicked(Kept):
-    """The curve, with a part that acts at the end alone."""
+    """The curve, with an effect that acts only at the end."""
 
     kind: ClassVar[str] = "kicked_curve"
     kick: Scalar = parameter(0.0, unit="m/s", doc="rate from 3.2 s on")
@@ -226,7 +226,7 @@ class Kicked(Kept):
 
 
 def kicked():
-    """A late recording of it."""
+    """Simulate a delayed recording of this curve."""
     recording = recorded(late=0.05, seed=2)
     late = 0.1 * np.maximum(recording.times - 3.2, 0.0)
     values = {name: row + late for name, row in recording.values.items()}
@@ -260,7 +260,7 @@ def test_what_the_last_fifth_alone_shows_is_fitted_by_all_of_the_data():
         assert one.value == pytest.approx(TRUTH[one.path], abs=3 * one.total_error)
     assert any(sentence.startswith("all of the data: ") for sentence in told)
     assert any(sentence.startswith("step 2: kick: ") for sentence in told)
-    # Steps are counted together.
+    # The steps of both calls are counted together.
     record = explain(first, recording, max_steps=1).record
     assert (record.ended, record.added) == ("steps", ("late",))
     for words in (
@@ -288,7 +288,7 @@ def test_time_that_is_up_before_the_last_fit_is_said_and_the_rest_follows(tmp_pa
     assert (late.record.ended, late.record.added) == ("budget", ("late",))
     assert any("the final fit did not finish" in one for one in late.result.conditions)
     assert explain(first, recording, folder=tmp_path).record == whole
-    # Each fit says what it is of.
+    # Each fit reports the data that it uses.
     counts = []
     for path in sorted((tmp_path / "fits").glob("*.json")):
         one = load_result(path)
@@ -310,6 +310,6 @@ def test_a_fit_whose_file_cannot_be_read_is_passed_over(tmp_path, monkeypatch):
     monkeypatch.setattr("giajax.studies._explain.load_result", refuse)
     record = explain(first, recording, folder=tmp_path).record
     assert (record.ended, record.added) == ("selected", ())
-    # The journal says why, and gives the same.
+    # The journal contains the reason, and gives the same result.
     assert "no file may say so" in (tmp_path / JOURNAL).read_text()
     assert explain(first, recording, folder=tmp_path).record == record

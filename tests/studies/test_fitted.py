@@ -1,4 +1,4 @@
-"""A fit as an argument of tasks: known by its content, in any process, wherever its files lie."""
+"""A fit as an argument of tasks: its key depends on its content, not on process or place."""
 
 import dataclasses
 import pickle
@@ -28,7 +28,7 @@ def key_of(fitted):
 
 
 def test_it_is_known_by_its_content(fitted, tmp_path):
-    """The same read again, elsewhere, timed otherwise and pickled; another for what matters."""
+    """Reading again, moving, other times and pickling keep the key; relevant changes do not."""
     (run,), result = fitted.runs, fitted.result
     (tmp_path / "result.json").write_text(result.to_json())
     elsewhere = dataclasses.replace(run, path=tmp_path / "run.csv")
@@ -54,7 +54,7 @@ def test_other_runs_are_refused(fitted):
     (run,) = fitted.runs
     with pytest.raises(InputError, match="the runs are not those of the result"):
         Fitted.of(fitted.result, dataclasses.replace(run, sha256="0"))
-    # In memory there is no checksum: how many cells were measured tells some of them.
+    # A run in memory has no checksum; the number of measured cells distinguishes some runs.
     name = next(iter(run.observations))
     fewer = np.where(np.arange(len(run.values[name])) == 3, np.nan, run.values[name])
     with pytest.raises(InputError, match="the runs are not those of the result"):

@@ -1,4 +1,4 @@
-"""Of a linear model one step is a fit: leaving out is known in closed form."""
+"""For a linear model, one step is a fit, so the effect of omitted data has a closed form."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ DRIFTING = {"position_m": SIGMA, "position_correlated_m": 0.015, "position_corre
 
 @pytest.fixture(scope="module")
 def drifting():
-    """Two runs whose noise has a memory."""
+    """Return two runs with correlated noise."""
     return [recorded(1, gap=slice(5, 12), noise=DRIFTING), recorded(2, noise=DRIFTING)]
 
 
@@ -33,7 +33,7 @@ def found(fitted, drifting):
 
 
 def generalised(fitted, runs, part=None):
-    """Generalised least squares of the cells that are left, by whitening them alone."""
+    """Solve generalised least squares for the remaining cells by whitening only these."""
     rows, rest = [], []
     for index, run in enumerate(runs):
         noise = optimum_of(fitted, runs).state.noise.values[index]
@@ -52,13 +52,13 @@ def generalised(fitted, runs, part=None):
 
 
 def test_a_step_is_generalised_least_squares_of_the_rest(fitted, drifting, found):
-    """Whatever is left out, noise with a memory is made white anew; the error follows, too."""
+    """For any omitted part, correlated noise is whitened again; the error agrees, too."""
     errors = np.asarray([found.parameters[path] for path in FREE])
     whole, covariance = generalised(fitted, drifting)
     parts = {(part.kind, part.name): part for part in parts_of(drifting, 4)}
     assert len(parts) == len(found.parts) == 2 + 2 + 2 * 4
     for row in found.parts:
-        if row.name == "tip_z":  # Without it the height is not determined.
+        if row.name == "tip_z":  # without it, the height is not determined
             assert row.steps["height"] is row.exact["height"] is None
             assert row.largest == np.inf
             continue
@@ -70,7 +70,7 @@ def test_a_step_is_generalised_least_squares_of_the_rest(fitted, drifting, found
 
 
 def test_a_fit_without_the_part_says_the_same(found):
-    """To within what a fit leaves of the way to its optimum."""
+    """The results agree within the stopping tolerance of the fits."""
     for row in found.parts:
         assert row.reason == ""
         for path in FREE:
@@ -81,7 +81,7 @@ def test_a_fit_without_the_part_says_the_same(found):
 
 
 def test_what_contradicts_the_others_is_told(runs, monkeypatch):
-    """A span that is off by five deviations moves what it should not."""
+    """A segment that is off by five deviations shifts the estimates."""
     values = {**runs[1].values, "tip_z": runs[1].values["tip_z"].copy()}
     values["tip_z"][20:30] += 5 * SIGMA
     off = giajax.Run.from_arrays(runs[1].times, values, definition=runs[1].definition)
@@ -89,7 +89,7 @@ def test_what_contradicts_the_others_is_told(runs, monkeypatch):
     asked = []
     monkeypatch.setattr(Fitted, "study", lambda _, __, tasks, **___: asked.extend(tasks) or [])
     found = giajax.influence(result, [runs[0], off], spans=4)
-    assert len(asked) == 1  # The runs alone, which are two, are left out by fits.
+    assert len(asked) == 1  # only the two runs are left out by fits
     worst = max(found.parts, key=lambda part: part.surprise or 0.0)
     assert worst.name == "run, 1.5 to 2.25 s"
     assert worst.surprise > 3
@@ -108,7 +108,7 @@ def test_it_is_json_and_goes_on(fitted, drifting, found, tmp_path):
 
 
 def test_a_robust_loss_has_its_own_curvature():
-    """Cells beyond the corner of Huber's loss have no curvature, and a bounded pull."""
+    """Cells beyond the corner of Huber's loss have no curvature, and a bounded influence."""
     run = recorded(3)
     run.values["tip_z"].setflags(write=True)
     run.values["tip_z"][7] += 1.0
@@ -121,7 +121,7 @@ def test_a_robust_loss_has_its_own_curvature():
 
 
 def test_what_is_weighted_against_outliers_is_left_out_like_the_rest(drifting):
-    """With a memory, outliers have weights of cells, of which those that are left count."""
+    """With correlated noise, outliers have weights, of which the remaining ones are used."""
     values = {**drifting[0].values, "tip_z": drifting[0].values["tip_z"].copy()}
     values["tip_z"][[15, 30]] += 20 * SIGMA
     rough = dataclasses.replace(drifting[0], values=values)
@@ -135,7 +135,7 @@ def test_what_is_weighted_against_outliers_is_left_out_like_the_rest(drifting):
 
 
 def test_what_a_run_has_for_itself_goes_with_it(drifting):
-    """Its own height is not lost without it: nobody asks."""
+    """Without the run, its own height is not reported as undetermined."""
     runs = [dataclasses.replace(run, name=name) for run, name in zip(drifting, "ab", strict=True)]
     result = giajax.fit(Line(), runs, free=FREE, per_run=["height"], check=False)
     found = giajax.influence(result, runs, spans=1)

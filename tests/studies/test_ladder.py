@@ -1,4 +1,4 @@
-"""The ladder: what is missing is found in turn, and no more than that."""
+"""The ladder: omitted effects are found one by one, and nothing else."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def test_two_omissions_one_after_the_other():
 
 @pytest.mark.slow
 def test_what_is_no_longer_needed_is_taken_out_again():
-    """A shift of z imitates a wrong offset and a delay together, until those are there."""
+    """A shift of z compensates for a wrong offset and a delay, until these are included."""
     recording = recorded(late=0.03, rub=0.05, seed=4)
     first = fitted(recording, free=[*FREE, "shift[2]"])
     step = suspects(first, recording).of("late")
@@ -61,7 +61,7 @@ def test_what_is_no_longer_needed_is_taken_out_again():
 
 
 def test_elements_that_scatter_no_more_are_held_where_they_were():
-    """Each of an array was freed for what came later: a delay imitates none of them then."""
+    """The elements were freed because of a delay, and are not needed once it is included."""
     recording = recorded(late=0.05, seed=4)
     first = fitted(recording)
     parts = ["weights[0]", "weights[1]"]
@@ -79,7 +79,7 @@ def test_elements_that_scatter_no_more_are_held_where_they_were():
     held = refit(last, [recording], fix={spare.path: spare.value})
     assert set(held.free) == {"amplitude", "decay", "late"}
     assert not held.config.get("priors")
-    # Without the delay they are not where they were.
+    # Without the delay, the elements differ from their fixed values.
     late = dataclasses.replace(steps[2], result=freed)
     assert _spare([*steps[:2], late]) == []
 
@@ -94,7 +94,7 @@ def test_a_choice_is_made_the_other_way_and_axes_are_exchanged():
     swapped = {**values, "tip_y": values["tip_z"], "tip_z": values["tip_y"]}
     wrong = dataclasses.replace(recording, values=swapped)
     start = {"amplitude": 1.9, "decay": 0.75}
-    # What was held out has been recorded in the same wrong axes.
+    # The held-out data were recorded with the same wrong axes.
     late = split_run(wrong, dict.fromkeys(wrong.observations, 90))
     steps = ladder(fitted(late.fitted, start=start), late.fitted, held_out=[late.held])
     added = [step.suspect.path for step in steps.steps[1:]]
@@ -122,7 +122,7 @@ def test_a_refit_begins_where_the_fit_ended():
     assert again.parameters["decay"].value == pytest.approx(
         result.parameters["decay"].value, abs=0.1 * result.parameters["decay"].standard_error
     )
-    # What lies at a bound begins a little inside of it.
+    # A value at a bound starts slightly inside.
     freed = refit(result, [recording], free=["rub"])
     whole = fit(curve(), recording, free=["amplitude", "decay", "rub"],
                 start={"amplitude": 1.5, "decay": 0.9, "rub": 0.1}, check=False)  # fmt: skip
@@ -131,7 +131,7 @@ def test_a_refit_begins_where_the_fit_ended():
 
 
 def test_of_several_that_are_tried_the_lowest_bic_is_taken():
-    """What a test promises is not what a fit keeps: here the order of the tests is a wrong one."""
+    """A fit may not confirm a test; here, the order of the tests is wrong."""
     recording = recorded(late=0.05, seed=2)
     result = fitted(recording)
     found = suspects(result, recording)
@@ -140,7 +140,7 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
         tries: best_step(result, [recording], [], promising, tries)[0].suspect.path
         for tries in (1, 2)
     }
-    # All weights in proportion are no parameter of a fit, and no try.
+    # A common factor of all weights is not a parameter of a fit, and does not count as a try.
     assert taken == {1: "shift[1]", 2: "late"}
     steps = ladder(result, recording, tries=2)
     assert [step.suspect.path for step in steps.steps[1:]] == ["late"]
@@ -149,7 +149,7 @@ def test_of_several_that_are_tried_the_lowest_bic_is_taken():
 
 
 def test_what_is_tried_does_not_depend_on_the_cores(monkeypatch):
-    """Side by side or one after the other, and what cannot be fitted spares the others."""
+    """They run in parallel or in sequence, and a failed fit does not affect the others."""
     recording = recorded(late=0.05, rub=0.05, seed=2)
     result = fitted(recording)
     found = suspects(result, recording)
@@ -165,7 +165,7 @@ def test_what_is_tried_does_not_depend_on_the_cores(monkeypatch):
 
 
 def test_rungs_among_outliers_are_compared_by_one_likelihood():
-    """Each fit takes less noise than the one before: no weight of its own may enter."""
+    """The estimated noise decreases from fit to fit, so the fits must not use their own weights."""
     recording = recorded(late=0.05, seed=2, noise=False)
     random = np.random.default_rng(0)
     wild = {

@@ -1,4 +1,4 @@
-"""Several starts find the valley that one start misses, and say how many did."""
+"""Several initial guesses find a minimum that one misses, and report how many found it."""
 
 import dataclasses
 from pathlib import Path
@@ -24,7 +24,7 @@ from toy_model import TRUTH, Decay, height, run
 
 
 def test_the_best_of_several_starts_is_the_result():
-    """The others are within the spread of the first, and the best end is the result."""
+    """The other initial guesses are within the spread of the first, and the best end is kept."""
     told = []
     result = multi_start(
         Decay(),
@@ -51,7 +51,7 @@ def test_the_best_of_several_starts_is_the_result():
 
 
 def test_starts_are_added_to_a_result():
-    """The old ones are told as they ended, and only the new ones are fitted."""
+    """The previous ends are reported again, and only the new initial guesses are fitted."""
     data, told = run(), []
     options = {"spread": 0.5, "seed": 1, "start": {"amplitude": 0.5, "decay": 3.0}}
     whole = multi_start(Decay(), data, starts=4, **options)
@@ -72,7 +72,7 @@ def test_starts_are_added_to_a_result():
     one = fit(Decay(), data, start=options["start"])
     assert multi_start(Decay(), data, starts=2, before=one, **options).starts[1].misfit is not None
     with pytest.raises(
-        InputError, match="has other initial guesses: give the same seed and spread"
+        InputError, match="has different initial guesses: give the same seed and spread"
     ):
         multi_start(Decay(), data, starts=4, before=few, **{**options, "seed": 2})
     with pytest.raises(InputError, match="belongs to another fit"):
@@ -82,7 +82,7 @@ def test_starts_are_added_to_a_result():
 
 
 def test_a_start_that_fails_is_passed_over():
-    """The decay fails above 8, where some of the starts are."""
+    """The model fails for a decay above 8, where some of the initial guesses are."""
     result = multi_start(
         Decay(), run(), starts=6, spread=2.0, seed=0, start={"decay": 5.0}, check=False
     )
@@ -139,7 +139,7 @@ def test_starts_fill_priors_and_bounds_and_more_have_the_same_first_ones():
 
 
 def test_ends_that_are_as_good_and_elsewhere_are_two_optima():
-    """And one that is near, but worse, is a third."""
+    """An end that is close but has a higher cost is a third one."""
     finished = load_result(FINISHED)
     best, count = misfit(finished), sum(c.n for r in finished.runs for c in r.channels.values())
     values = {path: estimate.value for path, estimate in finished.free.items()}
@@ -156,13 +156,13 @@ def test_ends_that_are_as_good_and_elsewhere_are_two_optima():
     assert lost_starts(dataclasses.replace(finished, starts=tuple(starts))) == {"it crawls": 1}
 
 
-# Any finished fit will do where none is run.
+# Any finished fit can be used where none is run.
 FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
 
 
 @pytest.mark.parametrize("interrupted_at", [1, 2, 3, 4])
 def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at):
-    """Before the second start, or the last check, has evaluated anything."""
+    """Before the second fit, or the last check, has evaluated anything."""
     finished = dataclasses.replace(load_result(FINISHED), starts=())
     calls = []
 
@@ -172,7 +172,7 @@ def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at
             raise KeyboardInterrupt
         return finished
 
-    # One after the other, or the third start would be called before the second is interrupted.
+    # In sequence, because otherwise the third fit starts before the second is interrupted.
     monkeypatch.setenv("GIAJAX_CORES", "1")
     monkeypatch.setattr(_multi_start, "solve", solve)
     monkeypatch.setattr(_multi_start, "inside_bounds", lambda setup, values: {"decay": 2.0})
@@ -184,7 +184,7 @@ def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at
     assert len(calls) == interrupted_at
     assert result.status == "interrupted"
     assert result.parameters == finished.parameters
-    at = "before its result was checked" if interrupted_at == 4 else f"at start {interrupted_at}"
+    at = "before the result was checked" if interrupted_at == 4 else f"at start {interrupted_at}"
     assert f"; interrupted {at}" in result.message
     ends = [start.status for start in result.starts]
     assert ends == ["converged"] * min(interrupted_at - 1, 3) + ["interrupted"] * (
@@ -194,7 +194,7 @@ def test_an_interruption_keeps_the_best_start_so_far(monkeypatch, interrupted_at
 
 @pytest.mark.slow
 def test_spawned_processes_end_where_threads_do(tmp_path):
-    """The same table of ends, and a result that predicts; the files of the tasks are taken up."""
+    """The ends and a prediction are the same, and the files of the tasks are removed."""
     options = {
         "starts": 6, "spread": 2.0, "start": {"decay": 5.0}, "check": False,
     }  # fmt: skip
@@ -227,7 +227,7 @@ def test_spawned_processes_end_where_threads_do(tmp_path):
 
 
 def test_a_start_without_time_is_no_failure(tmp_path):
-    """A budget that is over before the others begin: none of them is kept as if it had ended."""
+    """The budget ends before the other fits start, and none of them is stored as ended."""
     options = {"start": {"amplitude": 0.5, "decay": 3.0}}
     first = multi_start(Decay(), run(), starts=1, check=False, **options)
     result = solve_from_starts(

@@ -1,4 +1,4 @@
-"""Draws from a posterior: against closed forms, another sampler, and differences."""
+"""Posterior draws: compared with closed forms, another sampler, and differences."""
 
 import dataclasses
 import importlib.util
@@ -14,7 +14,7 @@ import giajax
 from giajax import InputError, Prior
 from giajax.fitting import check_proper, density_of, energy_at
 from giajax.recordings import unique_names
-from giajax.report import draws_file, posterior_files
+from giajax.report import draws_file, posterior_files, trace_figure
 from giajax.studies import (
     Fitted,
     as_arviz,
@@ -26,10 +26,10 @@ from giajax.studies import (
 from giajax.studies._posterior import bands, doubts
 from toy_model import TRUTH, Decay, run
 
-# Near the optimum of 0.699, which a density that knew no bound would hardly see.
+# The bound is near the optimum of 0.699, so a density without a bound would differ.
 BOUNDS = {"decay": (0.7005, 9.0)}
 NOISE = 0.01
-# So many that a variance of them is known to 3 per cent, a quarter of what tests allow.
+# The standard error of a variance is then 3 %, a quarter of the tolerance of the tests.
 DRAWS = 2000
 
 
@@ -39,7 +39,7 @@ def flat(found):
 
 @pytest.fixture(scope="module")
 def line():
-    """What is free counts linearly: its posterior is normal."""
+    """Return a fit whose free parameters are linear, so the posterior is normal."""
     recorded = run(seed=4)
     free = ["amplitude", "offset"]
     start = {"decay": TRUTH["decay"]}
@@ -53,7 +53,7 @@ def drawn(line):
 
 @pytest.fixture(scope="module")
 def bent():
-    """A bound cuts the posterior, and a prior shares in it; no data say anything of `idle`."""
+    """Return a fit with a bound that cuts the posterior, a prior, and no data for `idle`."""
     recorded = run(seed=0)
     priors = {"amplitude": Prior(2.01, deviation=0.004), "idle": Prior(3.0, factor=2)}
     settings = {"bounds": BOUNDS, "priors": priors, "noise_model": "white"}
@@ -68,7 +68,7 @@ def test_of_a_linear_model_it_is_the_normal_distribution_of_least_squares(line, 
     columns = np.stack([np.exp(-0.7 * recorded.times), np.ones(len(recorded.times))], 1)
     heights = recorded.observations["tip_z"]
     best, squares, *_ = np.linalg.lstsq(columns, heights, rcond=None)
-    # As the standard errors: those of the noise, unless the residuals exceed it.
+    # The noise is that of the standard errors: the stated one, unless the residuals exceed it.
     scale = max(1.0, squares[0] / NOISE**2 / (len(heights) - 2))
     covariance = np.linalg.inv(columns.T @ columns) * NOISE**2 * scale
     errors = np.sqrt(np.diag(covariance))
@@ -95,7 +95,7 @@ def test_each_channel_has_a_band_that_holds_what_was_recorded(line, drawn):
 
 
 def test_a_band_has_the_noise_that_residuals_show(line):
-    """Of residuals that exceed what is stated, as the standard errors have it."""
+    """The residuals exceed the stated noise, as in the standard errors."""
     result, recorded = line
     optimum = optimum_of(result, [recorded])
     wide = SimpleNamespace(at=optimum.at, statistics=SimpleNamespace(scale=9.0))
@@ -122,12 +122,12 @@ def test_chains_that_never_moved_are_the_worst(drawn):
     known["offset"] = dataclasses.replace(known["offset"], r_hat=None, ess_bulk=None, ess_tail=None)
     (sentence,) = doubts(known, 0, drawn.samples, [], 3)
     assert sentence.startswith(
-        "the chains are stuck: within a chain, all draws of offset are equal"
+        "the chains are stuck, because all draws of offset within a chain are equal"
     )
 
 
 def test_the_gradient_is_that_of_differences(bent):
-    """Of the noise, the priors and the map of the bound together; the fit's programs agree."""
+    """Noise, priors and the map of the bound together; the programs of the fit agree."""
     optimum = optimum_of(bent[0], [bent[1]])
     density = density_of(optimum)
     at = eqx.filter_jit(density.at)
@@ -147,16 +147,16 @@ def cut(bent):
 
 
 def test_where_data_say_nothing_it_is_the_prior(cut):
-    """That of a factor is log-normal, with its median at its value."""
+    """The prior of a factor is log-normal, with its median at its value."""
     known = cut.summary.parameters["idle"]
-    # Chains of another processor are others: of the same seed 340, and over 600.
+    # Chains depend on the processor: with the same seed, the result may be 340 or above 600.
     assert min(known.ess_bulk, known.ess_tail) > 200
     ends = np.percentile(cut.draws_of("idle"), (16, 50, 84))
     np.testing.assert_allclose(np.log2(ends / 3), [-1, 0, 1], atol=0.3)
 
 
 def test_another_sampler_finds_the_same_posterior_at_a_bound(bent, cut):
-    """The affine-invariant ensemble of emcee, of a density that is written here anew."""
+    """The affine-invariant ensemble sampler of emcee, with a density that is written here."""
     import emcee
 
     _, recorded = bent
@@ -179,14 +179,14 @@ def test_another_sampler_finds_the_same_posterior_at_a_bound(bent, cut):
     quantiles = (5, 25, 50, 75, 95)
     ours, theirs = (np.percentile(each, quantiles, axis=0) for each in (flat(cut)[:, :2], other))
     np.testing.assert_allclose((ours - theirs) / other.std(axis=0), 0, atol=0.16)
-    # What the linear interval does not know: the density is one-sided.
+    # Unlike the linear interval, the density is one-sided.
     decay = cut.summary.parameters["decay"]
     assert decay.interval[0] > 0.7005
     assert (decay.interval[1] - decay.mean) > 1.4 * (decay.mean - decay.interval[0])
 
 
 def test_after_a_stop_it_goes_on(line, tmp_path, monkeypatch):
-    monkeypatch.setenv("GIAJAX_CORES", "1")  # one chain after the other
+    monkeypatch.setenv("GIAJAX_CORES", "1")  # the chains run in sequence
     done, draws = [], 200
 
     def stop(transitions, total):
@@ -203,9 +203,9 @@ def test_after_a_stop_it_goes_on(line, tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 1
     again = posterior(*line, **settings, progress=lambda *each: done.append(each))
     assert len(list(tmp_path.iterdir())) == 3
-    # The file of the first chain is used, and all are those of a run that nobody stopped.
+    # The file of the first chain is used, and the result is that of an uninterrupted run.
     assert done[-1] == (3 * (draws + 100), 3 * (draws + 100))
-    # Said every twenty transitions, of two chains.
+    # Progress is reported every twenty transitions, for two chains.
     assert sum(isinstance(each, tuple) for each in done) < 2.5 * (draws + 100) / 20
     np.testing.assert_array_equal(again.samples, plain.samples)
     with pytest.raises(KeyboardInterrupt):
@@ -218,7 +218,7 @@ def stop_at_once(transitions, total):
 
 @pytest.mark.parametrize("cores", ["1", "3"])
 def test_chains_are_shared_out_among_cores(line, drawn, monkeypatch, cores):
-    """Which changes nothing in what is drawn, and says how far all of them are."""
+    """This does not change the draws, and the progress covers all chains."""
     monkeypatch.setenv("GIAJAX_CORES", cores)
     said, together = [], set()
 
@@ -231,7 +231,7 @@ def test_chains_are_shared_out_among_cores(line, drawn, monkeypatch, cores):
     whole = 3 * (DRAWS + 100)
     assert said[-1] == (whole, whole)
     assert said == sorted(said)
-    # Those that draw, and the one that hears that they are done.
+    # The threads that draw, and the one that receives their progress.
     assert len(together) == 1 + int(cores)
 
 
@@ -245,8 +245,24 @@ def test_arviz_reads_the_draws_back(line, drawn, tmp_path):
     assert files["posterior_bands.csv"].decode().count("\n") == 61
 
 
+def test_traces_show_each_chain_and_its_ranks(line, drawn):
+    """Each rank occurs once, and each axis has its unit."""
+    figure = trace_figure(drawn, line[0])
+    labels = list(drawn.summary.parameters)
+    assert len(figure.axes) == 2 * len(labels)
+    for label, trace, ranks in zip(labels, figure.axes[::2], figure.axes[1::2], strict=True):
+        np.testing.assert_array_equal(
+            [each.get_ydata() for each in trace.lines], drawn.draws_of(label)
+        )
+        # The outline of the bars has two corners at each height.
+        heights = [each.get_xy()[1:-1:2, 1] for each in ranks.patches]
+        assert [each.sum() for each in heights] == [DRAWS] * 3
+        np.testing.assert_allclose(np.sum(heights, axis=0), 3 * DRAWS / 20, atol=1)
+        assert trace.get_ylabel().startswith(label)
+
+
 def test_the_next_arviz_takes_the_draws_too(drawn):
-    """`arviz_base` is what ArviZ 1 makes its data with."""
+    """ArviZ 1 builds its data with `arviz_base`."""
     base = pytest.importorskip("arviz_base")
     tree = as_arviz({"offset": drawn.draws_of("offset")}, {"lp": -drawn.energy}, base)
     assert type(tree).__name__ == "DataTree"
@@ -276,7 +292,7 @@ def test_without_numpyro_one_sentence_says_what_to_do(monkeypatch):
 @pytest.mark.quick
 @pytest.mark.parametrize("rho", [0.0, 0.8, -0.4])
 def test_effective_draws_of_an_autoregression_are_as_many_as_they_are(rho):
-    """(1 - rho) / (1 + rho) of all draws; R-hat sees a chain that is elsewhere."""
+    """(1 - rho) / (1 + rho) of all draws; R-hat detects a chain with another mean."""
     rng = np.random.default_rng(7)
     draws = np.zeros((4, 5000))
     for at in range(1, 5000):
@@ -304,11 +320,11 @@ def test_mixing_is_as_arviz_has_it():
 
 @pytest.mark.quick
 def test_what_nothing_limits_has_no_posterior():
-    """A start is free from below; a share is not, and is limited by its bounds."""
+    """An initial value has no lower bound; a share has bounds."""
     known = SimpleNamespace(
         labels=("mass", "start", "share"), standard_errors={0: 0.1}, alive=np.arange(3)
     )
     lower, upper = np.array([0.0, 0.0, 0.0]), np.array([np.inf, np.inf, 1.0])
-    with pytest.raises(InputError, match="neither the data nor two bounds limit start: fix it"):
+    with pytest.raises(InputError, match="neither the data nor two bounds limit start: fix each"):
         check_proper(known, lower, upper)
     check_proper(known, lower, np.array([np.inf, 5.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Profiles against closed forms, against SciPy, and where they end."""
+"""Profiles compared with closed forms and SciPy, and the limits at which they end."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ TIMES = np.linspace(0.0, 4.0, 40)
 
 
 class Cubic(Plain):
-    """tip_z = offset + slope t + bend t^2, and what follows from it; linear in all of them."""
+    """tip_z = offset + slope t + bend t^2, and derived quantities; linear in all parameters."""
 
     kind = "cubic"
 
@@ -46,7 +46,7 @@ class Cubic(Plain):
 
 
 class Timed(Decay):
-    """The same decay, with the time that it takes."""
+    """The same decay, with its time constant."""
 
     kind = "timed"
 
@@ -71,7 +71,7 @@ def fitted(model, runs, **options):
 
 @pytest.fixture(scope="module")
 def shallow():
-    """A bend of which the best value is its bound, zero; and the fit."""
+    """Return a recording whose best bend is at its bound of zero, and the fit."""
     data = recorded(-0.02)
     result = fitted(Cubic(), data)
     assert result.parameters["bend"].value == 0
@@ -79,7 +79,7 @@ def shallow():
 
 
 def test_of_a_linear_model_it_is_the_interval_of_the_standard_error():
-    """By Student's t, where the noise is estimated; of a derived quantity, too."""
+    """By Student's t, because the noise is estimated; also for a derived quantity."""
     data = recorded(0.5, state=False)
     result = fitted(Cubic(), data)
     profiles = profile(result, data, ["offset", "slope", "bend", "end"])
@@ -119,7 +119,7 @@ def test_of_one_parameter_it_is_where_the_chi_square_says():
 
 
 def test_a_derived_quantity_has_the_interval_of_what_it_follows_from():
-    """A profile does not mind how a parameter is written; a standard error does."""
+    """A profile does not depend on the parametrisation, unlike a standard error."""
     data = run(sigma=0.4, samples=30, seed=1)
     result = fitted(Timed(), data)
     profiles = profile(result, data, ["decay", "time"])
@@ -129,7 +129,7 @@ def test_a_derived_quantity_has_the_interval_of_what_it_follows_from():
 
 
 def test_at_a_bound_it_is_one_sided_and_others_are_told_of(shallow):
-    """SciPy's least squares in a box has the same deviance at every point."""
+    """SciPy's bounded least squares gives the same deviance at every point."""
     data, result = shallow
     profiles = profile(result, data, ["offset", "bend"])
     bend = profiles["bend"]
@@ -149,7 +149,8 @@ def test_at_a_bound_it_is_one_sided_and_others_are_told_of(shallow):
     for name, place in (("offset", 0), ("bend", 2)):
         for point in profiles[name].points:
             assert point.deviance == pytest.approx(cost(point.value, place) - best, abs=1e-3)
-    # Nearer to zero than the standard error says, because the data would have it below.
+    # The upper limit is lower than the standard error suggests, because the data favour a negative
+    # bend.
     assert bend.interval[1] < 0.8 * bend.linear[1]
     offset = profiles["offset"]
     away = [point.value for point in offset.points if not point.at_bounds]
@@ -181,7 +182,7 @@ def test_what_only_counts_together_has_no_end():
 
 
 def test_a_fit_that_was_not_at_its_optimum_is_told(shallow):
-    """Its result says so, as one does that a person has changed."""
+    """The result did not converge, or was edited by a user."""
     data = recorded(0.5)
     result = fitted(Cubic(), data)
     estimate = result.parameters["slope"]

@@ -1,4 +1,4 @@
-"""Suspects of fits with ties, priors and values of single runs, against refits that free them."""
+"""Suspects of fits with ties, priors and values per run, compared with refits that free them."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from giajax import InputError, Prior, fit, ladder, suspects, systematic_errors
 from giajax.studies import refit
 
 START = {"amplitude": 1.5, "decay": 0.9}
-# amplitude 2 and offset 0.1 are those of the recordings.
+# The recordings have amplitude 2 and offset 0.1.
 TIES = {"offset": "0.05 * amplitude"}
 PRIORS = {"decay": Prior(0.71, deviation=0.004), "amplitude": Prior(2.02, factor=1.004)}
 
@@ -23,7 +23,7 @@ def fitted(runs, *, free=tuple(START), start=None, **options):
 
 
 def runs_of(*, aside=0.0, **values):
-    """Three recordings; the second one is 0.2 m higher, and aside by so much of that."""
+    """Simulate three recordings; the second one is 0.2 m higher, and shifted by a part of that."""
     return [
         recorded(seed=i, offset=height, shift=[aside * (height - 0.1), 0.0, 0.0], **values)
         for i, height in enumerate((0.1, 0.3, 0.1))
@@ -31,7 +31,7 @@ def runs_of(*, aside=0.0, **values):
 
 
 def check(result, freed, row):
-    """What a test says is what the fit that frees it finds; priors count as measurements."""
+    """Compare a test with the fit that frees the suspect; priors count as measurements."""
     drop = 2 * (result.cost - freed.cost)
     assert row.testable
     assert row.chi_square_drop == pytest.approx(drop, rel=0.05)
@@ -44,7 +44,7 @@ def check(result, freed, row):
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{"ties": TIES}, {"priors": PRIORS}])
 def test_drop_and_estimate_are_those_of_a_refit(options):
-    """A delay, which a larger amplitude imitates where nothing keeps it."""
+    """A delay, which has the effect of a larger amplitude if that is not constrained."""
     recording = recorded(late=0.015, channels=("tip_z",), offset=0.1)
     result, plain = fitted(recording, **options), fitted(recording)
     found = suspects(result, recording)
@@ -83,7 +83,7 @@ def test_what_is_tied_is_no_suspect_and_moves_with_what_it_follows_from():
     ],
 )
 def test_values_of_single_runs_take_part(options):
-    """Of one run, or of a group of them; with priors, and with what follows from them."""
+    """A value of one run or of a group of runs; with priors, and with ties to it."""
     runs = runs_of(late=0.01, aside=0.2 if "ties" in options else 0.0)
     result = fitted(runs, **options)
     found = suspects(result, runs)
@@ -92,7 +92,7 @@ def test_values_of_single_runs_take_part(options):
     check(result, freed, found.of("late"))
     assert found.chi_square == pytest.approx(2 * result.cost, rel=1e-6)
     assert found.parameters == 2 + (3 if "per_run" in options else 2)
-    # The same with what each run has begins where it ended.
+    # A refit with the same values per run starts at its optimum.
     assert refit(result, runs).iterations <= 2
 
 
@@ -106,7 +106,7 @@ def test_a_choice_and_axes_are_those_of_each_run():
 
 
 def test_what_a_prior_holds_is_imitated_no_more():
-    """Only amplitude times twin counts: with a prior of the one, the other is as uncertain."""
+    """Only amplitude times twin matters; with a prior of one, the other is equally uncertain."""
     recording = recorded()
     row = suspects(fitted(recording), recording).of("twin")
     assert row.chi_square_drop < 10  # the y coordinate has no twin
@@ -140,7 +140,7 @@ def test_nothing_is_asked_for_where_the_model_is_right():
 
 
 def test_held_numbers_against_refits_with_them_moved():
-    """Through ties, beside priors, and of what each run has for itself the mean."""
+    """With ties and priors; for values per run, their mean."""
     runs = runs_of()
     options = {
         "per_run": ["offset"],
@@ -154,7 +154,7 @@ def test_held_numbers_against_refits_with_them_moved():
     for path, shift in errors["twin"].shifts.items():
         moved = (ends[1][path].value - ends[0][path].value) / 2
         assert shift == pytest.approx(moved, rel=0.03), path
-    with pytest.raises(InputError, match=r"shift\[1\] is tied to other parameters: state"):
+    with pytest.raises(InputError, match=r"shift\[1\] is tied to other parameters: give"):
         systematic_errors(result, runs, {"shift[1]": 0.1})
 
 

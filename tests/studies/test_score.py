@@ -1,4 +1,4 @@
-"""The score test by itself: against refits of linear problems, and as often wrong as it says."""
+"""The score test: compared with refits of linear problems, and its false-positive rate."""
 
 import dataclasses
 
@@ -60,7 +60,7 @@ def test_what_is_free_in_one_run_alone_is_taken_out_of_that_run():
     own = np.ones((200, 1))
     asked = columns[:, 2:3]
     rest = projected([table(row, columns[:, 1:2], asked, own) for row in noise])
-    # As one matrix: a column of ones for each run.
+    # As one matrix, with a column of ones for each run.
     ones = np.kron(np.eye(2), own)
     whole = np.concatenate([np.tile(columns[:, 1:2], (2, 1)), ones], axis=1)
     y = noise.ravel()
@@ -89,7 +89,7 @@ def test_a_step_ends_at_its_bound_and_is_worth_less():
     rest = projected([table(-y, columns[:, :2], columns[:, 2:3])])
     free, bounded = score(rest, [0], [-np.inf], [np.inf]), score(rest, [0], [-1.0], [1.0])
     assert bounded.step[0] == 1
-    # The quadratic function of the step, at a twentieth of the way.
+    # The quadratic function of the step, evaluated at a part of the step.
     part = 1 / free.step[0]
     assert bounded.drop == pytest.approx(free.drop * (2 * part - part**2), rel=1e-9)
 
@@ -97,7 +97,7 @@ def test_a_step_ends_at_its_bound_and_is_worth_less():
 @pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
 @pytest.mark.parametrize("tests", [1, 2])
 def test_noise_alone_is_significant_as_often_as_it_says(rho, tests):
-    """White and correlated noise, which nothing states: 5 % of 1,000, within 4 deviations."""
+    """White and correlated noise that is not stated: 5 % significant, within 4 deviations."""
     columns, samples = smooth(600), 600
     random = np.random.default_rng(5)
     count = 0
@@ -110,12 +110,12 @@ def test_noise_alone_is_significant_as_often_as_it_says(rho, tests):
         rest = projected([table(noise, columns[:, :2], columns[:, 2:])])
         found = score(rest, list(range(tests)), [-np.inf] * tests, [np.inf] * tests)
         count += found.p_value < 0.05
-    # Below the level is safe; by more than this above it is not.
+    # A lower rate is acceptable, but not a rate that is higher by more than this.
     assert 0.01 < count / 400 < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 400)
 
 
 def test_gaps_and_runs_without_time():
-    """Unmeasured cells count for nothing; without time no cell has a neighbour."""
+    """Unmeasured cells are ignored, and without time, cells have no neighbours."""
     columns = smooth()
     noise = np.random.default_rng(6).normal(size=200)
     full = table(noise, columns[:, :2], columns[:, 2:3])
@@ -151,7 +151,7 @@ def test_columns_that_the_fit_cannot_tell_apart_are_alike():
 
 
 def with_priors(y, columns, known):
-    """Weighted squares that a fit leaves, each prior a row more."""
+    """Return the weighted sum of squares of a fit in which each prior is a further row."""
     rows = np.concatenate([columns, np.pad(known[:, 1:], ((0, 0), (0, columns.shape[1] - 2)))])
     return squares(np.append(y, -known[:, 0]), rows)
 
@@ -165,12 +165,12 @@ def test_a_prior_is_one_more_row_and_keeps_a_parameter_from_imitating():
     drop = with_priors(y, columns[:, :2], known) - with_priors(y, columns[:, :3], known)
     assert one.drop == pytest.approx(drop, rel=1e-9)
     assert (rest.values, rest.parameters, list(rest.known)) == (200, 2, [200])
-    # The trace of the hat matrix: what is known beforehand costs less than a degree of freedom.
+    # The trace of the hat matrix: a parameter with a prior costs less than a degree of freedom.
     gram = columns[:, :2].T @ columns[:, :2]
     trace = np.trace(np.linalg.solve(gram + np.diag([400.0, 0.0]), gram))
     assert rest.lost == pytest.approx(trace, rel=1e-9)
     assert 1 < rest.lost < 1.2
-    # Of what one run has alone, too.
+    # The same with a parameter that only one run has.
     own = dataclasses.replace(
         table(-y, columns[:, 1:2], columns[:, 2:3], own=columns[:, :1]), known=known[:, :2]
     )
@@ -181,7 +181,7 @@ def test_a_prior_is_one_more_row_and_keeps_a_parameter_from_imitating():
 
 
 def test_with_priors_noise_alone_is_significant_as_often_as_it_says():
-    """What is known is drawn, too: 5 % of 500, within 4 deviations."""
+    """The true values are drawn from the priors: 5 % of 500 significant, within 4 deviations."""
     columns, random = smooth(60), np.random.default_rng(8)
     count = 0
     for _ in range(500):
@@ -220,7 +220,7 @@ def test_a_mixture_of_chi_squares(weights):
 
 
 def test_how_far_amounts_scatter_is_found_and_noise_is_not():
-    """300 draws: of none 5 % are significant, and the deviation of others is not far off."""
+    """300 draws: without scatter, 5 % are significant; with scatter, its deviation is estimated."""
     random, columns = np.random.default_rng(7), smooth()
     asked = np.stack([np.sin(k * np.linspace(0, 3, 200)) for k in range(1, 9)], axis=-1)
     named, found = 0, []

@@ -1,4 +1,4 @@
-"""Sensitivities along a run, and what they promise to a fit."""
+"""Sensitivities along a run, and the standard errors that they predict for a fit."""
 
 import dataclasses
 
@@ -24,12 +24,12 @@ def model():
 
 @pytest.fixture(scope="module")
 def everything():
-    """One program for all parameters."""
+    """Compute the sensitivities to all parameters with one program."""
     return sensitivity(model(), RUN, ALL)
 
 
 def part(whole, rows):
-    """Of some parameters alone."""
+    """Return the sensitivities to some parameters."""
     return dataclasses.replace(
         whole,
         parameters=whole.parameters[rows],
@@ -57,7 +57,7 @@ def test_derivatives_are_those_of_differences(found):
                 continue
             difference = (ahead[name] - behind[name]) / (2 * step)
             error = np.linalg.norm(found.derivatives[row, :, column] - difference)
-            # Both at the tolerance of a prediction.
+            # Both are computed with the tolerance of a prediction.
             assert error < 1e-4 * np.linalg.norm(difference)
 
 
@@ -68,13 +68,13 @@ def test_a_body_is_its_three_components(found):
     np.testing.assert_allclose(
         lengths[0, 7, 1] ** 2, np.sum(found.derivatives[0, 7, 3:6] ** 2), rtol=1e-12
     )
-    # Before the command moves, nothing depends on anything.
+    # Before the command changes, no parameter has an effect.
     assert np.all(lengths[:, :5] == 0)
 
 
 @pytest.mark.slow
 def test_information_adds_and_promises_what_a_fit_finds(found):
-    """The Cramer-Rao bound is the standard error that a fit with that noise states."""
+    """The Cramer-Rao bound equals the standard error of a fit with that noise."""
     sigma = 0.005
     truth = dict(zip(FREE, found.values, strict=True))
     recorded = synthesise(model(), TIMES, COMMAND, found.channels, noise={"position": sigma})
@@ -88,7 +88,7 @@ def test_information_adds_and_promises_what_a_fit_finds(found):
     )
     by_body = found.errors_by_body(sigma)
     np.testing.assert_allclose(np.sum(by_body[:, 0] ** -2.0), whole[0, 0], rtol=1e-12)
-    # The end of the arm moves most, and tells most.
+    # The tip moves most, and gives the most information.
     assert np.all(np.diff(by_body[:, 0]) < 0)
 
 

@@ -1,4 +1,4 @@
-"""Suspects against refits that really free them, on a model that compiles in a moment."""
+"""Suspects compared with refits that free them, for a model that compiles quickly."""
 
 import dataclasses
 import json
@@ -27,7 +27,7 @@ FREE = ["amplitude", "decay"]
 def fitted(recording, *, free=FREE, start=None, **options):
     model = curve()
     begin = {"amplitude": 1.5, "decay": 0.9} if start is None else start
-    # Drops of chi-square are those of white noise, which refits are compared with.
+    # Chi-square drops are those with white noise, so that refits can be compared.
     options = {"noise_model": "white", **options}
     return fit(model, recording, free=free, start=begin, check=False, **options)
 
@@ -66,7 +66,7 @@ def test_what_the_fit_imitates_and_what_nothing_shows_is_not_testable():
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_each_omission_comes_first(stated):
-    """A part that is off, one at its bound, a vector, a choice, and axes."""
+    """A disabled part, a value at its bound, a vector, a choice, and axes."""
     omissions = {
         "late": {"late": 0.05},
         "rub": {"rub": 0.05},
@@ -114,7 +114,7 @@ def test_swapped_axes_are_found_from_where_the_fit_began():
     assert (first.path, first.kind) == ("axes: y and z swapped", "axes")
     assert first.p_value < 1e-6
     assert first.begun
-    # Nothing of the sort where they are right, nor of one coordinate, which has a sign alone.
+    # Correct axes are not accused, nor a single coordinate, whose sign is the only choice.
     for right in recording, recorded(channels=("tip_z",)):
         found = suspects(fitted(right), right)
         assert not [row for row in found.rows if row.kind in ("axes", "columns")]
@@ -154,7 +154,7 @@ def test_a_robust_loss_and_an_outlier():
 
 
 def test_outliers_are_told_with_the_loss_for_them():
-    """Of 3 % of all cells; none where the noise is normal and what is missing is smooth."""
+    """For 3 % of all cells; but not for normal noise, or if the missing effect is smooth."""
     recording = recorded(seed=1)
     rng, values = np.random.default_rng(1), dict(recording.values)
     for name in recording.observations:
@@ -173,7 +173,7 @@ def test_outliers_are_told_with_the_loss_for_them():
 
 
 def test_pictures_tables_and_suspects_measure_by_one_noise():
-    """By what differs from sample to sample, where the fit took what it lacks for noise."""
+    """The sample-to-sample noise, because the fit has interpreted the missing effect as noise."""
     recording = recorded(noise=False, late=0.1)
     result = fitted(recording)
     found, (channels,) = suspects(result, recording), [run.channels for run in result.runs]
@@ -190,7 +190,7 @@ def test_pictures_tables_and_suspects_measure_by_one_noise():
 
 
 def test_several_runs_with_states_of_their_own():
-    """What each run has for itself imitates a part of what is asked for, as in a refit."""
+    """The parameters of each run absorb a part of the missing effect, as in a refit."""
     short = recorded(late=0.05, seed=1, channels=("tip_y", "tip_z"))
     rows = {name: values[:70] for name, values in short.values.items()}
     runs = [
@@ -215,7 +215,7 @@ def test_several_runs_with_states_of_their_own():
 
 
 def test_a_fit_of_states_alone_is_asked_too():
-    """Nothing is fitted that a suspect could move."""
+    """A suspect cannot shift any fitted parameter."""
     run = recorded(late=0.05, seed=2, offset=0.5, channels=("tip_y", "tip_z"))
     result = fit(OwnHeights(curve()), run, free=[], check=False, noise_model="white")
     assert not result.free
@@ -232,7 +232,7 @@ def test_a_result_carries_its_suspects_as_json():
     assert stored["suspects"][0]["chi_square_drop"] > 100
     assert stored["suspects"][0]["estimate"] == pytest.approx(0.05, rel=0.1)
     held = {row["path"] for row in stored["systematic"]}
-    # What is 0, free, or moves no fitted parameter is not among them.
+    # Values that are 0, free, or do not shift a fitted parameter are not included.
     assert held == {"offset", "twin"}
 
 
@@ -250,7 +250,7 @@ def test_what_a_suspect_moves_is_what_a_refit_moves():
 
 
 def test_a_suspect_that_moves_a_parameter_makes_the_verdict_doubtful():
-    """Residuals do not show it, and the parameters are off by several of their errors."""
+    """The residuals do not show it, but the estimates are off by several standard errors."""
     recording = recorded(offset=0.115, seed=3, channels=("tip_z",))
     result = fitted(recording)
     assert result.verdict.status == "adequate"
@@ -266,14 +266,14 @@ def test_a_suspect_that_moves_a_parameter_makes_the_verdict_doubtful():
     assert "is fixed at 0.1 m, and the residuals suggest 0.11" in reason.sentence
     assert reason.sentence.endswith("fit it too, with --free amplitude --free decay --free offset")
     assert asked.headline.startswith("DOUBTFUL MODEL: offset ")
-    # Asked again it is the same, and with the suspect free there is none.
+    # Another test gives the same verdict, and with the suspect free, the model is adequate.
     assert with_suspects(asked, recording, parameters_alone=True).verdict == asked.verdict
     freed = fitted(recording, free=[*FREE, "offset"])
     assert with_suspects(freed, recording, parameters_alone=True).verdict.status == "adequate"
 
 
 def test_right_models_are_seldom_doubted():
-    """Of 40, with chance 0.8 % each; no test would name 5 % of them."""
+    """Of 40 models with a probability of 0.8 % each; a fixed level would accuse 5 %."""
     doubted = 0
     for seed in range(40):
         recording = recorded(seed=seed)
@@ -283,7 +283,7 @@ def test_right_models_are_seldom_doubted():
 
 
 def test_noise_with_a_memory_is_no_physics():
-    """Half white, half with a memory of ten samples, whose slow part an offset imitates."""
+    """Half of it is white, half has a correlation of ten samples, similar to an offset."""
     named = 0
     for seed in range(12):
         recording = recorded(seed=seed)
@@ -324,7 +324,7 @@ def test_truth_is_not_where_the_fits_begin():
 
 
 def test_responses_that_are_not_those_of_the_fit_are_noticed():
-    """A part that is on at its neutral value must change nothing."""
+    """A part that is enabled at its neutral value must not change anything."""
     recording = recorded(offset=0.1)
     result = fitted(recording)
     (at,) = linearised(result, [recording], inquiry(result.model, list(result.free)))
@@ -335,7 +335,7 @@ def test_responses_that_are_not_those_of_the_fit_are_noticed():
 
 
 class Three(Decay):
-    """A decay with three parts that are left out: one is the other two together, but for a bit."""
+    """A decay without three of its parts; one is nearly the sum of the other two."""
 
     first: Scalar = parameter(0.0, unit="m", doc="a part")
     second: Scalar = parameter(0.0, unit="m", doc="a part")
@@ -362,13 +362,13 @@ def told(**true):
 def test_what_data_cannot_tell_apart_is_told_as_one():
     found = told(both=0.05)
     assert found.promising[0].path == "both"
-    # Neither of the others explains it alone, and both together do.
+    # The others explain it only together.
     assert set(found.of("both").together) == {"first", "second"}
     assert found.of("first").explained_by == found.of("second").explained_by == "both"
     rows = suspect_rows(found, 1)
     assert [row[0] for row in rows] == ["both"]
     assert "first" in rows[0][-1]
-    # One of them is seen in what has it as a part, and explains all of that.
+    # One of them is the only cause, and explains the combined part as well.
     found = told(first=0.05)
     assert found.promising[0].path == "first"
     assert found.of("first").together == ()
@@ -387,13 +387,13 @@ def test_what_nothing_explains_is_said_and_drawn(tmp_path):
     assert "left_over.png" in reason.sentence
     write_result(asked, odd, tmp_path)
     assert (tmp_path / "left_over.png").stat().st_size > 10_000
-    # Axes are looked at where the fit began, too, and say nothing of where it ended.
+    # Suspects at the initial guess, such as axes, say nothing about the end of the fit.
     result = fitted(odd)
     found = suspects(result, odd)
     begun = dataclasses.replace(found.rows[-1], kind="axes", begun=True)
     with_axes = dataclasses.replace(found, rows=(*found.rows, begun))
     assert with_axes.judge(result).reasons[-1].code == "unexplained"
-    # What a suspect explains is no such thing.
+    # An effect that a suspect explains is not reported as unexplained.
     late = recorded(late=0.1)
     codes = [each.code for each in with_suspects(fitted(late), late).verdict.reasons]
     assert codes
@@ -402,14 +402,14 @@ def test_what_nothing_explains_is_said_and_drawn(tmp_path):
 
 @pytest.mark.quick
 def test_a_wrong_model_is_no_exchange_of_points():
-    """It has two points in the wrong order; an exchange makes the recording itself jump."""
+    """The model has two points in the wrong order; an exchange makes the recording itself jump."""
     times = np.linspace(0.0, 25.0, 251)
     names = ("link08_z", "tip_z")
     predicted = np.stack([times / 25, 1.5 * times / 25], axis=1)
     swapped = predicted + 1e-2 * np.sin(99 * times)[:, None]
     drifting = swapped - [0.0, 1.0] * np.clip(times / 10 - 1.5, 0, 1)[:, None]
     lost = swapped.copy()
-    lost[200, 1] = 0.0  # a cell that the other point's place explains better, and no exchange
+    lost[200, 1] = 0.0  # a single cell that fits the other point is not an exchange
     both_lost = swapped.copy()
     both_lost[200] = 0.0
     swapped[150:] = swapped[150:, ::-1]
@@ -427,7 +427,7 @@ def test_a_wrong_model_is_no_exchange_of_points():
 
 
 class Interrupted(Curve):
-    """A curve, of which one choice asks for Ctrl-C while it is looked at."""
+    """A curve whose variant sends Ctrl-C while it is tested."""
 
     def variants(self):
         return {
@@ -438,14 +438,14 @@ class Interrupted(Curve):
 class Stopping(Curve):
     def predict(self, inputs, channels):
         os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(0.5)  # The thread that waits is told meanwhile.
+        time.sleep(0.5)  # the waiting thread receives the signal meanwhile
         return super().predict(inputs, channels)
 
 
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_ctrl_c_while_choices_are_looked_at_ends_it(cores, monkeypatch, request):
     monkeypatch.setenv("GIAJAX_CORES", cores)
-    # A process that a shell began in the background ignores Ctrl-C.
+    # A background process of a shell ignores Ctrl-C.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     recording = recorded(seed=7)
@@ -456,7 +456,7 @@ def test_ctrl_c_while_choices_are_looked_at_ends_it(cores, monkeypatch, request)
 
 
 class Fragile(Curve):
-    """A curve that cannot be evaluated where its amplitude is beyond 10."""
+    """A curve that cannot be evaluated for an amplitude above 10."""
 
     def predict(self, inputs, channels):
         predicted, finite = super().predict(inputs, channels)
@@ -480,12 +480,12 @@ def test_a_fit_that_went_astray_is_asked_where_it_began():
     first = found.significant[0]
     assert (first.path, first.begun, first.moves) == ("late", True, {})
     assert any("the initial values of the fit" in row[-1] for row in suspect_rows(found))
-    # Of a fit that cannot be evaluated where it ended, nothing is said of how much it leaves.
+    # A fit that cannot be evaluated at its end is not judged by its remaining residuals.
     assert found.judge(lost).reasons == lost.verdict.reasons
-    # What is fitted from there begins where the fit did.
+    # The next fit starts at the initial guess.
     last = explain(lost, recording).result
     assert last.status == "converged"
     assert last.parameters["late"].value == pytest.approx(0.2, abs=0.05)
-    # One that converged says where it cannot be evaluated.
+    # A converged fit reports where it cannot be evaluated.
     with pytest.raises(InputError, match="cannot be evaluated"):
         suspects(dataclasses.replace(lost, status="converged"), recording)

@@ -1,4 +1,4 @@
-"""Systematic errors against refits with the held number moved."""
+"""Systematic errors compared with refits for a changed fixed value."""
 
 import json
 
@@ -12,7 +12,7 @@ from giajax.studies import deciding_conditions, together, with_suspects, with_sy
 
 
 def moved(recording, path, change, **options):
-    """How far each fitted parameter moves where a held one is changed, by refits."""
+    """Return the shift of each fitted parameter due to a change of a fixed one, by refits."""
     values = {path: np.asarray(getattr(curve(), path.partition("[")[0]), dtype=float)}
     ends = []
     for sign in (-1, 1):
@@ -28,7 +28,7 @@ def moved(recording, path, change, **options):
 
 @pytest.mark.parametrize(
     ("loss", "paths"),
-    # A robust loss is no quadratic function of 1 % of `twin`, which is two deviations of noise.
+    # For 1 % of `twin`, two deviations of the noise, a robust loss is not quadratic.
     [("linear", ["offset", "twin"]), ("soft_l1", ["offset"])],
 )
 def test_one_percent_of_a_held_number_against_refits(loss, paths):
@@ -52,7 +52,7 @@ def test_a_stated_uncertainty_adds_in_quadrature():
     assert set(by_path) == {"offset", "shift[0]", "shift[1]", "shift[2]"}
     for name, shift in moved(recording, "offset", 0.02).items():
         assert by_path["offset"].shifts[name] == pytest.approx(shift, rel=0.05)
-    # The offset is that of z, and so is the third element of the shift.
+    # The offset acts on z, like the third element of the shift.
     decay = {path: one.shifts["decay"] for path, one in by_path.items()}
     assert decay["shift[2]"] == pytest.approx(1.5 * decay["offset"], rel=1e-6)
     total = np.sqrt(sum(shift**2 for shift in decay.values()))
@@ -78,7 +78,7 @@ def test_what_decides_is_a_condition():
     assert sentence in asked.conditions
     assert sentence in deciding_conditions(asked.systematic)
     assert asked.config["uncertainty"] == {"offset": 0.05}
-    # Asked again, by the uncertainty that the result has now, nothing is said twice.
+    # If it is tested again with the same uncertainty, no sentence is repeated.
     again = with_suspects(asked, recording)
     assert again.conditions == asked.conditions
     assert json.loads(again.to_json())["systematic"][0]["decides"] == ["amplitude", "decay"]
@@ -89,7 +89,7 @@ def test_what_decides_is_a_condition():
     [
         ({"decay": 0.1}, r"decay is fitted.*: fix it"),
         ({"offset": -1.0}, r"the uncertainty of offset is not positive: give"),
-        ({"offset": [1.0, 2.0]}, r"has 2 values, but the parameter has 1: give"),
+        ({"offset": [1.0, 2.0]}, r"has 2 values, but the parameter has 1 element: give"),
         ({"offsat": 1.0}, r"there is no parameter 'offsat': did you mean 'offset'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""A fit once more, gone on with, and begun where another one ended."""
+"""A fit is repeated, continued, and used as the initial guess of another one."""
 
 import json
 import os
@@ -25,14 +25,14 @@ def path(tmp_path, monkeypatch):
 
 
 def numbers(result):
-    """All that a result has, apart from how long it took and where it is."""
+    """Return the content of a result without times and paths."""
     record = json.loads(result.to_json())
     del record["seconds"], record["task"]["out"]
     return record
 
 
 def written(task, **options):
-    """The result of a task, which is written where it belongs."""
+    """Run a task and write its result where it belongs."""
     result = task.run(**options)
     runs = read_runs(task.data, task.definition, rename=task.rename)
     write_result(result, runs, task.out, figures=False)
@@ -48,7 +48,7 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     second = again.run()
     before = numbers(first)
     after = numbers(second)
-    # The settings of the one are in a definition, those of the other in its result.
+    # The settings of one fit are in a definition, those of the other in its result.
     assert after.pop("task")["inputs"] == before.pop("task")["inputs"]
     assert after == before
     stored = stored_result("giajax-out/loops_fit/result.json")[1]
@@ -65,12 +65,12 @@ def test_more_starts_are_added_to_those_of_a_result(path):
     assert told == [3]
     assert result.starts[:2] == first.starts
     assert result.config["starts"] == len(result.starts) == 3
-    # What else is changed makes another fit.
+    # With any further change, it is another fit.
     assert more.on_top(loss="huber").earlier is None
 
 
 def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
-    """The whole folder may move, and whoever fits again may be elsewhere."""
+    """The whole folder may be moved, and the current folder may differ."""
     first = written(FitTask.load(path), check=False)
     here = tmp_path.rename(tmp_path.with_name("moved"))
     monkeypatch.chdir("/")
@@ -81,7 +81,7 @@ def test_it_is_found_beside_its_result(path, tmp_path, monkeypatch):
         assert second.parameters == first.parameters
         stored = stored_result(here / "giajax-out" / "loops_fit")[1]
         assert compared(second, stored).endswith("bit for bit")
-        # Another file of that name, where the command is given, is not taken for it.
+        # Another file of that name in the current folder is not used.
         other = here / "other"
         other.mkdir()
         for file in here.glob("*.*"):
@@ -108,7 +108,7 @@ def test_what_was_recorded_of_no_checksum_stays_where_its_name_says(path, tmp_pa
 
 @pytest.fixture(scope="module")
 def unfinished(tmp_path_factory):
-    """A folder with what was fitted, and in `out` a fit that ended early, with its journal."""
+    """A folder with the data of a fit, and in `out` a fit that ended early, with its journal."""
     folder = tmp_path_factory.mktemp("unfinished")
     with pytest.MonkeyPatch.context() as patched:
         patched.chdir(folder)
@@ -120,7 +120,10 @@ def unfinished(tmp_path_factory):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (lambda: os.rename("loops.csv", "gone.csv"), "loops.csv, to which .* does not exist"),
+        (
+            lambda: os.rename("loops.csv", "gone.csv"),
+            "loops.csv, which the fit in .* does not exist",
+        ),
         (lambda: append("loops.csv", "0.5,0.4\n"), "loops.csv has changed"),
         (lambda: append("other.csv", "0.5,0.4\n"), "other.csv has changed"),
         (lambda: append("loops_fit.toml", "# more\n"), "loops_fit.toml has changed"),
@@ -136,7 +139,7 @@ def test_a_file_that_has_changed_is_named(unfinished, tmp_path, monkeypatch, cha
 
 
 def test_another_file_of_a_registered_class_is_refused(unfinished, tmp_path, monkeypatch):
-    """Where a fit is made again, and where one goes on from Python, too."""
+    """This holds if a fit is repeated, and if it is continued from Python."""
 
     @giajax.register
     class Sliding(giajax.mechanics.arm.AbstractDragLaw):
@@ -146,7 +149,7 @@ def test_another_file_of_a_registered_class_is_refused(unfinished, tmp_path, mon
             return -stream.velocity
 
     monkeypatch.chdir(shutil.copytree(unfinished, tmp_path / "here"))
-    # The first line of a journal, and the only text of a result, say what they were made with.
+    # The first line of a journal and the text of a result name the files that they used.
     for name, parts in (("result.json", 0), ("journal.jsonl", 1)):
         path = Path("out", name)
         text, *lines = path.read_text().split("\n", 1) if parts else [path.read_text()]
@@ -182,12 +185,12 @@ def test_what_cannot_be_fitted_again_says_so(path):
     stored.write_text(json.dumps(record))
     with pytest.raises(InputError, match=r"differently \(in loss\)"):
         FitTask.again("changed").prepare()
-    # What is put on top is another fit, which nothing is expected of.
+    # A changed setting makes another fit, which need not reproduce the result.
     assert FitTask.again("changed").on_top(loss="huber").prepare().setup.settings.loss == "huber"
 
 
 def test_a_result_without_what_is_new_is_read(path):
-    """Files of before have neither a task nor a budget."""
+    """Files of earlier versions have neither a task nor a budget."""
     written(FitTask.load(path), check=False)
     stored = Path("giajax-out/loops_fit/result.json")
     record = json.loads(stored.read_text())
@@ -213,9 +216,9 @@ def test_from_python_a_journal_is_gone_on_with(path):
     assert {key: after[key] for key in after if key != "task"} == {
         key: plain[key] for key in plain if key != "task"
     }
-    with pytest.raises(InputError, match=r"other settings \(different: loss, start\)"):
+    with pytest.raises(InputError, match=r"different settings \(loss, start\)"):
         task.on_top(loss="huber", start={"elastic": 0.4}).run(journal="kept")
-    # The same files by other names are the same files.
+    # Other names of the same files do not matter.
     named = task.on_top(data=os.path.abspath("loops.csv"))
     assert named.run(check=False, journal="kept").parameters == result.parameters
 
@@ -240,7 +243,7 @@ def test_a_journal_of_a_fit_that_was_cut_off_is_not_written_over(path):
         pass
     with ready.open_journal(_folder(ready), force=True) as journal:
         assert not journal.is_begun
-    # Nothing was written, so the one before is still there.
+    # Nothing was written, so the previous journal still exists.
     with ready.open_journal(_folder(ready), resume=True) as journal:
         assert journal.is_begun
 
@@ -258,10 +261,10 @@ def test_one_fit_at_a_time_in_a_folder(path):
         with pytest.raises(InputError, match=rf"another fit is writing .*\({words}"):
             ready.open_journal(folder).__enter__()
         assert os.listdir(folder) == ["fit.lock"]
-    # What was made for it is gone, because nothing was computed.
+    # The folder is removed, because nothing was computed.
     assert not folder.exists()
     assert not folder.parent.exists()
-    # What a killed process leaves is no lock, whatever its number.
+    # The lock file of a killed process is ignored, even if its process number is reused.
     folder.mkdir(parents=True)
     (folder / "fit.lock").write_text(f"process {os.getppid()} on elsewhere\n")
     with ready.open_journal(folder):
@@ -302,23 +305,23 @@ START_OF_DECAY = {"amplitude": 0.5, "decay": 3.0}
 def test_a_fit_begins_where_another_one_ended(path):
     task = FitTask.load(path)
     first = written(task, check=False)
-    # From there nothing is left to do; the start of the definition no longer counts.
+    # That fit is converged, and the initial guess of the definition is not used.
     same = task.on_top(begin="giajax-out/loops_fit").prepare().setup
     assert float(same.model.operator.weights[0]) == first.parameters["weights[0]"].value
     assert same.config["begin"]["values"]["elastic"] == first.parameters["elastic"].value
     assert task.on_top(begin=first).begin == task.on_top(begin="giajax-out/loops_fit").begin
-    # Another list: what is held has the value of the other fit.
+    # With other free parameters, a fixed one keeps its value from the other fit.
     held = task.on_top(begin=first, free=["elastic"]).run(check=False)
     assert held.parameters["weights"].value == [first.parameters["weights[0]"].value]
     assert held.parameters["elastic"].value == pytest.approx(
         first.parameters["elastic"].value, rel=1e-3
     )
-    # What is said with it or later goes before.
+    # Values given at the same time or later take precedence.
     setup = task.on_top(begin=first, start={"weights": 0.6}).prepare().setup
     assert float(setup.model.operator.weights[0]) == 0.6
     setup = task.on_top(begin=first).on_top(fix={"elastic": 0.3}).prepare().setup
     assert float(setup.model.operator.elastic) == 0.3
-    # It stays a fit that can be done again, also when the other one is gone.
+    # The fit can be repeated even if the other fit no longer exists.
     os.rename("giajax-out/loops_fit", "elsewhere")
     held_task = task.on_top(begin=first, free=["elastic"], out="held")
     written(held_task, check=False)
@@ -343,7 +346,7 @@ def test_an_end_on_a_bound_can_be_begun_from():
     assert 0 < float(setup.model.decay) < 1e-6
     assert float(setup.model.amplitude) == 2.0
     assert solve(setup, check=False).cost is not None
-    # One that is held stays on it.
+    # A fixed parameter stays at its bound.
     held = set_up(Decay(), recording, free=["amplitude"], begin=WarmStart("decay", values))
     assert float(held.model.decay) == 0.0
     with pytest.raises(InputError, match="other parameters: there is no parameter 'mass'"):
@@ -360,7 +363,7 @@ def test_a_fit_from_an_end_is_sooner_there():
 
 @pytest.mark.slow
 def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
-    """Windows of a run, each with its own start, in another order and beside a new one."""
+    """Windows of a run, each with its own initial state, in another order and with a new one."""
     channels = ("link02_y", "link02_z", "link04_y", "link04_z")
     make_run(tmp_path, channels=channels)
     task = FitTask.of(tmp_path / "run.csv").on_top(start=START)
@@ -382,17 +385,17 @@ def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
     path = make_run(tmp_path, "other", seed=3, channels=channels)
     other = read_run(path, definition=task.definition)
     fresh = set_up(setup.model, [other], begin=WarmStart(**again.begin))
-    # Its state is its own, where that of the other run is not known for it.
+    # A new run has its own initial state, because the other fit has none for it.
     assert "other" not in fresh.own
     assert solve(fresh, check=False, max_iterations=1).cost is not None
 
 
 def test_starts_are_added_to_a_fit_that_held_something_out(path):
-    """The old end, which is the best, is evaluated anew: the held-out data are predicted by it."""
+    """The best previous end is evaluated again to predict the held-out data."""
     first = written(FitTask.load(path).on_top(max_iterations=40, hold_out=["last"]))
     (held,) = first.held_out
     more = FitTask.again("giajax-out/loops_fit").on_top(starts=2, spread=0.1)
-    assert more.earlier is None  # Another spread, other starts.
+    assert more.earlier is None  # another spread gives other initial guesses
     result = FitTask.again("giajax-out/loops_fit").on_top(starts=2).run()
     assert [each.channels.keys() for each in result.held_out] == [held.channels.keys()]
     codes = [reason.code for reason in result.verdict.reasons]

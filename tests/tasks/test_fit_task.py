@@ -1,4 +1,4 @@
-"""A fit as data: what goes before what, and that it is what a fit by hand is."""
+"""A fit as data: the precedence of settings, and equality with a fit by hand."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ from giajax.recordings import Definition
 from giajax.tasks import _preparation
 from small_loops import write_task
 
-# Any finished fit will do where none is run.
+# Any finished fit can be used where none is run.
 FINISHED = Path(__file__).parents[1] / "fitting" / "earlier"
 
 
@@ -53,7 +53,7 @@ def test_the_last_word_on_a_parameter_counts(path):
     assert settings.free == ["elastic"]
     assert settings.start == {"offset": 0.05, "elastic": 0.4}
     assert settings.fix == {"weights[0]": 0.7}
-    # What nobody speaks of stays, and the task before is unchanged.
+    # Settings that are not mentioned are kept, and the previous task is unchanged.
     assert settings.loss == "soft_l1"
     assert before.definition.fit.fix == {"offset": 0.1}
     assert before.definition == Definition.load(path)
@@ -89,7 +89,7 @@ def test_an_array_starts_and_is_held_element_by_element(path):
     held = task.on_top(fix={"weights": [0.5, 0.25]}).prepare().setup
     assert_allclose(held.model.operator.weights, [0.5, 0.25])
     assert [parameter.path for parameter in held.parameters] == ["elastic"]
-    # One value by itself is one for all; a list of one is the same.
+    # A single value applies to all elements, and so does a list with one value.
     alike = task.on_top(start={"weights": [0.2]}).prepare().setup
     assert_allclose(alike.model.operator.weights, [0.2, 0.2])
     assert alike.config["start"] == {"weights": 0.2}
@@ -155,7 +155,7 @@ def test_an_interruption_of_the_validation_keeps_the_fit(path, monkeypatch):
     monkeypatch.setattr(_preparation, "prediction_errors", interrupt)
     result = FitTask.load(path).run()
     assert result.status == "interrupted"
-    assert result.message == f"{finished.message}; interrupted before its validation was complete"
+    assert result.message == f"{finished.message}; interrupted before the validation was complete"
     assert result.parameters == finished.parameters
     assert result.validation == ()
 
@@ -195,7 +195,7 @@ def test_the_definition_of_an_arm_says_solver_and_windows(tmp_path):
     again = task.on_top(solver="heun", tolerance=1e-4).prepare().setup
     assert (again.config["solver"], again.config["tolerance"]) == ("heun", 1e-4)
     assert again.config["definition"]["simulation"]["solver"] == "heun"
-    # Whoever asks for one of the two keeps the other.
+    # Setting one of the two keeps the other.
     assert task.on_top(solver="heun").prepare().setup.config["tolerance"] == 1e-5
     with pytest.raises(InputError, match="there is no solver 'euler'"):
         task.on_top(solver="euler").prepare()

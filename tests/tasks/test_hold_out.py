@@ -1,4 +1,4 @@
-"""Fits of a part of what was recorded, which are judged by the rest."""
+"""Fits of a part of the data, which are judged by the rest."""
 
 import dataclasses
 import json
@@ -20,7 +20,7 @@ from small_loops import write_task
 
 @pytest.fixture
 def task(tmp_path, monkeypatch):
-    """Two runs of a play beside a spring."""
+    """A fit of two runs of a play in parallel with a spring."""
     monkeypatch.chdir(tmp_path)
     path = write_task(tmp_path)
     path.write_text(path.read_text().replace("other.csv", "").replace('[""]', "[]"))
@@ -60,7 +60,7 @@ def test_the_last_cells_are_not_fitted(task):
     result = written(last, check=False)
     assert [record.channels["output"].n for record in result.runs] == [44, 35]
     assert [record.channels["output"].n for record in result.held_out] == [11, 9]
-    # In the picture these cells are hollow, and the others are dots.
+    # In the figure, held-out cells are open markers, and all others are dots.
     for run, held, record, predicted in zip(
         ready.runs, ready.held_out_runs, result.runs, result.predictions, strict=True
     ):
@@ -74,7 +74,7 @@ def test_the_last_cells_are_not_fitted(task):
             for empty in (False, True)
         )
         assert (dots, hollow) == (record.channels["output"].n, len(run.values["output"]) - dots)
-    # And a stored result has the same parts again.
+    # A stored result gives the same parts again.
     stored = load_result(last.out)
     for again, before in (
         (fitted_runs(stored), ready.runs),
@@ -99,7 +99,7 @@ def test_the_same_fit_again_has_the_same_numbers(task):
     assert compared(again, before) == "all numbers are identical, bit for bit"
     before["held_out"][0]["channels"]["output"]["rmse"] *= 1 + 1e-9
     assert "quantities derived from them differ" in compared(again, before)
-    # Where the new fit begins is another question.
+    # This does not concern the initial guess of the new fit.
     whole = FitTask.again(task.out).on_top(hold_out=[])
     assert len(whole.prepare().runs) == 2
 
@@ -150,7 +150,7 @@ def test_groups_lose_what_is_held_out(task):
     assert len(ready.held_out.whole.layout.places) == len(ready.setup.layout.places)
     assert ready.held_out.whole.layout.size == ready.setup.layout.size + 1
     result = ready.run(check=False)
-    # An offset that only the held run knows is no error of prediction.
+    # An offset that only the held-out run determines is not a prediction error.
     (record,) = result.held_out
     assert record.channels["output"].size == pytest.approx(1, abs=0.3)
 
@@ -167,7 +167,7 @@ def test_the_command_line(task, capsys):
     record = json.loads((task.out.parent.parent / "out" / "result.json").read_text())
     assert record["config"]["hold_out"][1]["held_from"] == {"output": 0}
     assert [item["name"] for item in record["held_out"]] == ["loops", "other"]
-    # Another hold-out is another fit, which does not write over it.
+    # Other held-out data make another fit, which does not overwrite this one.
     assert main([*command, "--out", "out"]) == 2
     said = capsys.readouterr().err
     assert "contains the result of other data" in said
@@ -182,7 +182,7 @@ def test_the_command_line(task, capsys):
 
 
 def stiff_run(folder, name, **changed):
-    """A run of the short arm that is commanded there and back, recorded to 3 mm."""
+    """Record a run of the short arm with a command that returns, with a noise of 3 mm."""
     times = np.linspace(0.0, 4.0, 41)
     commands = {
         "joint01_command": 0.6 * np.interp(times, [0, 0.5, 2.4, 2.9], [0, 1, 1, -1]),
@@ -202,10 +202,10 @@ def stiff_run(folder, name, **changed):
 
 @pytest.mark.slow
 def test_what_an_arm_lacks_shows_where_it_was_not_fitted(tmp_path):
-    """Joints with friction, of which the first half alone gives nothing away.
+    """The joints have friction, which the first half of the run does not reveal.
 
-    Added mass would not do: on a short arm it is one with the scale of what is fitted, and what
-    it changes is predicted, too.
+    Added mass would not serve as an example. On a short arm, it is confounded with the scale of the
+    fitted parameters, and its effect on the held-out data is predicted, too.
     """
 
     def ended(name, **changed):
@@ -240,12 +240,12 @@ def test_a_file_that_says_it_wrongly_is_refused(task, tmp_path):
     for runs in ([{"held_from": "x"}], [{"held_from": {"output": "x"}}], [3], 3):
         damaged = {**result, "config": {**result["config"], "runs": runs}}
         (tmp_path / "result.json").write_text(json.dumps(damaged))
-        with pytest.raises(InputError, match="is not a result of giajax"):
+        with pytest.raises(InputError, match="is not a giajax result"):
             load_result(tmp_path)
 
 
 def test_an_interruption_of_the_judgement_keeps_what_was_held_out(task, monkeypatch):
-    """A result says of all its runs what was fitted of them, also where no error is known."""
+    """A result contains the fitted part of all its runs, even if no errors are known."""
 
     def interrupt(*_):
         raise KeyboardInterrupt
@@ -254,7 +254,7 @@ def test_an_interruption_of_the_judgement_keeps_what_was_held_out(task, monkeypa
     last = task.on_top(hold_out=["last"])
     ready, result = last.prepare(), written(last, check=False)
     assert result.status == "interrupted"
-    assert result.message.endswith("; interrupted before its validation was complete")
+    assert result.message.endswith("; interrupted before the validation was complete")
     channels = [record.channels["output"] for record in result.held_out]
     assert [(one.rmse, one.n, one.size) for one in channels] == [(None, 11, None), (None, 9, None)]
     stored = load_result(task.out)
@@ -270,5 +270,5 @@ def test_another_number_of_runs_is_another_fit(task):
     assert compared(result, before) == "all numbers are identical, bit for bit"
     before["held_out"] *= 2
     assert compared(result, before) == (
-        "the fits differ: 1 runs with a part held out now, and 2 before"
+        "the fits differ: the number of runs with a part held out is 1 now, but was 2 before"
     )

@@ -1,4 +1,4 @@
-"""Plans: what they say becomes cases, and what they may not say is told in a sentence."""
+"""Plans: their entries become cases, and invalid entries give one error message."""
 
 import itertools
 
@@ -26,7 +26,7 @@ def plan(folder, text):
 
 
 def test_a_grid_is_every_combination(folder):
-    """Quoted paths and unquoted ones; lists, ranges and ranges of logarithms."""
+    """Quoted and unquoted paths; lists, ranges and logarithmic ranges."""
     made = plan(
         folder,
         """
@@ -48,7 +48,7 @@ def test_a_grid_is_every_combination(folder):
         assert case["start.elastic"] == pytest.approx(values[3])
     fit = made.fit(made.cases[-1]).definition.fit
     assert (fit.loss, fit.fix["offset"], fit.fix["thresholds"]) == ("huber", 1.0, 0.3)
-    # What the plan does not say stays as the fit definition has it.
+    # Settings that the plan does not mention are those of the fit definition.
     assert fit.start == {"weights[0]": 0.3, "elastic": 1.0}
     assert fit.free == ["elastic", "weights[0]"]
 
@@ -81,7 +81,7 @@ def test_a_list_and_a_sample_with_a_grid(folder):
 
 
 def test_ranges_of_whole_numbers_are_whole(folder):
-    """Where each is: some keys take no other."""
+    """This is necessary because some keys accept only integers."""
     made = plan(
         folder,
         """
@@ -158,7 +158,7 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
         ("[grid]\nloss = ['linear', 'hubert']", "fit 2: fit.loss = 'hubert' must be"),
         ("[grid.fix]\noffset = ['a']", "fit 1: fit.fix.offset = 'a' must be a finite number"),
         ("[sample]\nsize = 2", r"\[sample\]: unknown key 'size'"),
-        ("[sample]\nfix.offset = { uniform = [0, 1] }", "count must be a number of draws"),
+        ("[sample]\nfix.offset = { uniform = [0, 1] }", "count must be a positive number of draws"),
         ("[sample]\ncount = 2", "draws nothing"),
         ("[sample]\ncount = 2\nseed = -1", "seed must be zero or a positive whole number"),
         ("[sample]\ncount = 2\nmethod = 'grid'", "method must be 'sobol' or 'random'"),
@@ -225,7 +225,7 @@ def test_fits_of_what_only_columns_name_are_others_where_its_module_is(tmp_path,
 
 
 def test_fits_are_known_by_their_content(folder):
-    """By what the files hold, not by where they lie; by sidecars, settings and samples too."""
+    """The key depends on the content of the files, sidecars, settings and samples, not on paths."""
     text = '[grid]\nloss = ["linear", "huber"]'
     before = [task.key for task in plan(folder, text).tasks()]
     assert len(set(before)) == 2

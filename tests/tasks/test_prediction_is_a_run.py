@@ -1,4 +1,4 @@
-"""`prediction.toml` of a fit is the sidecar of a run: a fit of it gives the parameters back."""
+"""`prediction.toml` of a fit is the sidecar of a run, whose fit reproduces the parameters."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from giajax.schema.parameters import switched_on
 TIMES = np.linspace(0.0, 2.0, 41)
 LOOPS = np.sin(np.linspace(0.0, 12.0, 60)) * np.linspace(1.0, 0.4, 60)
 
-# What is recorded, what the sidecar says, and the truth; the constants of no model are those that
-# it assumes by itself.
+# The recorded channels, the sidecar, and the true values. All constants differ from the defaults of
+# the model.
 CASES = {
     "arm": {
         "times": TIMES,
@@ -83,7 +83,7 @@ def test_every_kind_is_among_the_cases():
 
 
 def record(path, kind, case):
-    """Write a run that a model of this kind made, with noise of a thousandth of its range."""
+    """Write a run simulated by a model of this kind, with noise of a thousandth of its range."""
     definition = {"model": kind, **case["definition"]}
     times, inputs = case.get("times"), case["inputs"]
     rows = len(next(iter(inputs.values())))
@@ -119,7 +119,7 @@ def test_a_fit_of_a_prediction_gives_the_parameters_back(kind, tmp_path):
     task = FitTask.of(prediction).on_top(free=list(start), start=start)
     again = task.run(check=False)
     assert again.status == "converged"
-    # The cells of a prediction have nine digits, and what they were made with is in its sidecar.
+    # A prediction has nine digits per cell, and its sidecar has the values that generated it.
     for name, estimate in result.parameters.items():
         assert_allclose(again.parameters[name].value, estimate.value, rtol=1e-5, err_msg=name)
     assert again.model.kind == kind

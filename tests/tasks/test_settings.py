@@ -1,4 +1,4 @@
-"""Settings of parameters: in a file, on top of it, and that they reach the fit."""
+"""Parameter settings: in a file, overridden by options, and used by the fit."""
 
 import pytest
 
@@ -51,7 +51,7 @@ def test_a_definition_says_it_all_and_is_written_again(path):
 def test_it_reaches_the_fit(path):
     setup = FitTask.load(path).prepare().setup
     paths = [parameter.path for parameter in setup.parameters]
-    # Of what is always uncertain, what the settings say nothing of.
+    # The nuisance parameters that the settings do not mention.
     assert setup.nuisances == ("camera.clock_rate", "links.diameter[0]")
     assert [path for path in paths if path not in setup.nuisances] == [
         *("air.drag_coefficient", "links.mass[0]", "joints.damping"),
@@ -115,7 +115,7 @@ def test_the_last_word_on_a_parameter_counts(path):
         ('bounds."a" = [1, nan]', "fit.bounds.a = nan must be a list of two numbers"),
         ('ties."a" = 2', "fit.ties.a = 2 must be an expression in quotes"),
         ('ties."a" = "2"', "fit.ties is not valid for a, because the expression '2' contains no"),
-        ('ties."a" = "f(b)"', "expression 'f.b.' must be made of numbers, paths"),
+        ('ties."a" = "f(b)"', "expression 'f.b.' must consist of numbers, parameter"),
         ('groups."a" = ["x"]', "must be a list of lists of run names"),
         ('per_run = "a"', "fit.per_run = 'a' must be a list of parameter paths"),
     ],
@@ -129,7 +129,7 @@ def test_what_is_wrong_in_a_file_is_one_sentence(tmp_path, text, sentence):
 
 @pytest.mark.quick
 def test_each_setting_is_a_keyword_and_an_option(capsys):
-    """But the files, which tasks and the command have by other arguments; and objects of Python."""
+    """Exceptions are the files, which have other arguments, and Python objects."""
     files = {"data", "validation", "out"}
     assert set(TaskKeywords.__annotations__) | files == set(FitSettings.model_fields)
     assert main(["fit", "--help"]) == 0

@@ -1,4 +1,4 @@
-"""A sweep: its table, what fails, going on, and that fits share what is compiled."""
+"""A sweep: its table, failures, continuation, and compiled programs that the fits share."""
 
 import json
 import re
@@ -26,7 +26,7 @@ free = [["elastic", "weights[0]"], ["elastic", "nothing"]]
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory):
-    """The folder of a plan, and the table of it by the command line."""
+    """Return the folder of a plan, and its table by the command line."""
     folder = tmp_path_factory.mktemp("sweep")
     small_loops.write_task(folder)
     (folder / "plan.toml").write_text(PLAN)
@@ -53,33 +53,33 @@ def test_the_table_has_a_row_for_each_fit(swept):
     good, bad = table[::2], table[1::2]
     assert all("nothing" in message for message in bad["message"])
     assert bad["value.elastic"].null_count() == 4
-    # From both starts the same; the truth is 0.8 with the offset of 0.1 alone.
+    # Both initial guesses give the same estimate. The true value is 0.8 only with an offset of 0.1.
     assert good["value.weights[0]"][0] == pytest.approx(good["value.weights[0]"][1], rel=1e-4)
     assert abs(good["value.weights[0]"][0] - 0.8) < 3 * good["error.weights[0]"][0]
     assert good["verdict"].to_list() == ["adequate"] * 2 + ["inadequate"] * 2
-    # What the runs were made with leaves the noise of 0.005 alone.
+    # With the true values, the residual is the noise of 0.005.
     assert good["validation.output of other"].to_list()[:2] == pytest.approx([0.005] * 2, rel=0.3)
     assert {json.loads(text)[1] for text in bad["free"]} == {"nothing"}
 
 
 def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
-    """One more value of what is held: fits of one structure share their programs."""
+    """One more value of a fixed parameter; fits of the same structure share their programs."""
     folder, words = swept
     path = folder / "out" / "sweep.parquet"
     before, files = pl.read_parquet(path), len(list((folder / "out" / "fits").iterdir()))
     assert main([*words, "--dry-run"]) == 0
-    assert "4 of them already done" in capsys.readouterr().out
+    assert "of which 4 are already done" in capsys.readouterr().out
     (folder / "plan.toml").write_text(PLAN.replace("[0.1, 0.2]", "[0.1, 0.2, 0.15]"))
     programs = compiled()
     assert main(words) == 1
     assert compiled() == programs
     printed = capsys.readouterr()
-    assert "4 of 12 fits exist already" in printed.err
+    assert "4 of 12 fits already exist" in printed.err
     assert "12 fits: 6 converged, 6 failed" in printed.out
-    # Each estimate has its error, and as many digits as that deserves.
+    # Each estimate has its error, and a suitable number of digits.
     assert re.search(r"converged +0\.\d+ ± 0\.\d+ +0\.\d+ ± 0\.\d+ +adequate", printed.out)
     after = pl.read_parquet(path)
-    # What failed was begun again.
+    # The failed fit was repeated.
     assert after[:8].drop("seconds").equals(before.drop("seconds"))
     assert after[:8:2].equals(before[::2])
     assert len(list((folder / "out" / "fits").iterdir())) == files + 2
@@ -105,7 +105,7 @@ def test_a_file_that_changes_meanwhile_fails_its_fits(swept, tmp_path):
 
 
 def test_what_runs_have_for_themselves_is_in_the_table(tmp_path):
-    """Beside the mean of it; runs of the same name that are predicted, by their paths."""
+    """It is shown next to the mean; predicted runs of the same name are shown by their paths."""
     small_loops.write_task(tmp_path)
     (tmp_path / "more").mkdir()
     small_loops.write_loops(tmp_path / "more" / "loops.csv", (0, 1, -0.5), seed=1)

@@ -1,4 +1,4 @@
-"""A long swing of a pendulum whose frequency is not known: whole from where windows end."""
+"""A long swing of a pendulum with unknown frequency is fitted in windows, then as a whole."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ ARM = {"preset": "pendulum", "links": 1, "parameters": {"links.mass": 0.3}}
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """Forty seconds of some thirty periods, from another angle than its straight rest."""
+    """Simulate forty seconds with about thirty periods, about a rest angle that is not straight."""
     path = tmp_path_factory.mktemp("swing") / "swing.csv"
     times = np.arange(1001) / 25
     parameters = ARM["parameters"] | {"links.centre_of_mass": TRUTH}
@@ -34,10 +34,11 @@ FREE, START = ["links.centre_of_mass"], {"links.centre_of_mass": 0.9}
 
 @pytest.mark.slow
 def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
-    # Without windows it is found, too, from the first rows on.
+    # Without windows, the frequency is also found, starting with the first rows.
     task = FitTask.of(recording).on_top(free=FREE, start=START)
     assert task.run(check=False).reduced_chi_square == pytest.approx(1, abs=0.15)
-    # A file says what is free, a person sees the windows, and it comes again without them.
+    # The file gives the free parameters, the output shows the windows, and the repeated fit has
+    # none.
     definition, out = tmp_path / "fit.toml", tmp_path / "out"
     definition.write_text(
         f'[fit]\ndata = ["{recording.as_posix()}"]\nfree = ["links.centre_of_mass"]\n'
@@ -53,7 +54,7 @@ def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
     estimate = found.parameters["links.centre_of_mass[0]"]
     assert abs(estimate.value - TRUTH) < 3 * estimate.standard_error
     assert found.reduced_chi_square == pytest.approx(1, abs=0.15)
-    # Of the whole run, in which a state of the first window was a start.
+    # The result is that of the whole run, whose initial state was that of the first window.
     assert [run.name for run in found.runs] == ["swing"]
     assert found.task["begin"]["own"].keys() == {"swing"}
     assert main(["fit", "--again", str(out), *quick]) == 0
@@ -64,7 +65,7 @@ def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_gyroscope_alone_says_where_windows_begin(recording, tmp_path):
-    """Rates without angles: each window begins about its rest, and its state is found."""
+    """The rates contain no angles; each window starts near its rest, and its state is estimated."""
     run = read_run(recording)
     angle = run.values["joint01_angle"]
     rate = np.gradient(angle, run.times) + 0.002 * np.random.default_rng(2).normal(size=len(angle))
@@ -87,9 +88,9 @@ def resting(**initial):
 
 
 def test_what_one_sentence_advises_is_no_error_of_the_next():
-    with pytest.raises(InputError, match="and free = true where angles are not recorded"):
+    with pytest.raises(InputError, match="and also free = true if angles are not recorded"):
         windows(resting(), 4.0)
-    with pytest.raises(InputError, match="let the fit find the state with free = true"):
+    with pytest.raises(InputError, match="let the fit estimate the initial state with free = true"):
         model_for([resting(first_row=True)]).prepare(resting(first_row=True))
     run = resting(first_row=True, free=True)
     assert len(windows(run, 4.0)) == 2

@@ -1,4 +1,4 @@
-"""What is built on the library: each application has its own model of use, tables and pages."""
+"""Applications of the library, each with its own workflow, tables and pages."""
 
 import lazy_loader
 

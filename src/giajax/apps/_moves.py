@@ -1,4 +1,4 @@
-"""Commands over time, and the poses in which they let an arm rest."""
+"""Commands versus time, and the poses in which arms rest under them."""
 
 import dataclasses
 import functools
@@ -24,13 +24,13 @@ DIGITS = 9
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """Commanded angles over time; straight between the rows, or held.
+    """Commanded angles versus time, linear between the rows or held.
 
-    The arm rests by the first row when it begins.
+    The arm initially rests under the first row.
 
     Attributes:
-        times: of the rows, increasing, s, shape (row,).
-        angles: rad, shape (row, joint).
+        times: times of the rows, increasing, s, shape (row,).
+        angles: commanded angles, rad, shape (row, joint).
         held: whether each row is held until the next.
     """
 
@@ -41,26 +41,29 @@ class Command:
     def __post_init__(self) -> None:
         if self.times.ndim != 1 or self.angles.shape[:1] != self.times.shape or self.times[0] != 0:
             raise InputError(
-                f"the times of a command have the shape {self.times.shape} and its angles the "
-                f"shape {self.angles.shape}: give one row of angles for each time, the first one "
+                f"the times of a command have the shape {self.times.shape}, but its angles have "
+                f"the shape {self.angles.shape}: give one row of angles for each time, and start "
                 "at 0 s"
             )
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Angles at times, rad; the first and the last ones are held outside."""
+        """Return the angles at some times, rad; the first and last angles are held outside."""
         if self.held:
             rows = np.searchsorted(self.times, times + 10.0**-DIGITS, side="right") - 1
             return np.asarray(self.angles[np.maximum(rows, 0)])
         return np.stack([np.interp(times, self.times, row) for row in self.angles.T], axis=1)
 
     def shaped(self, impulses: tuple[np.ndarray, np.ndarray]) -> "Command":
-        """Convolved with impulses: their times (s) and sizes."""
+        """Return the command convolved with impulses, given by their times (s) and sizes."""
         times = np.unique((self.times[:, None] + impulses[0]).ravel().round(DIGITS))
         parts = zip(*impulses, strict=True)
         return Command(times, sum(size * self.at(times - late) for late, size in parts), self.held)
 
     def signal(self, rows: int) -> Signal:
-        """As simulations follow it, with so many rows: programs depend on their number."""
+        """Return the command as a signal of the simulator, padded to a number of rows.
+
+        Compiled programs depend on the number of rows.
+        """
         slopes = np.zeros_like(self.angles)
         if not self.held:
             slopes[:-1] = np.diff(self.angles, axis=0) / np.diff(self.times)[:, None]
@@ -76,15 +79,15 @@ class Command:
 
 
 class Rest(NamedTuple):
-    """An arm about a pose in which it rests.
+    """Linearisation of an arm about a pose in which it rests.
 
     Attributes:
-        angles: rad.
-        off: how far off they may be, rad.
-        by_angles, by_command: slopes of the accelerations, 1/s^2.
-        mass: its mass matrix, kg m^2.
-        tip: where its tip is, m.
-        moves: slope of that by angles, m/rad.
+        angles: joint angles, rad.
+        off: largest remaining Newton step of the angles, rad.
+        by_angles, by_command: derivatives of the accelerations, 1/s^2.
+        mass: mass matrix, kg m^2.
+        tip: position of the tip, m.
+        moves: derivative of the tip position with respect to the angles, m/rad.
     """
 
     angles: Float[Array, " joint"]
@@ -97,11 +100,11 @@ class Rest(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether it was found."""
+        """Whether the pose was found."""
         return bool(np.all(np.isfinite(self.angles)) and self.off < CLOSE)
 
     def modes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies of swings about it (rad/s), and their shapes by the mass matrix, as columns.
+        """Return the natural frequencies (rad/s) and the mass-normalised mode shapes, as columns.
 
         Raises:
             InputError: the arm is not stable there.
@@ -119,17 +122,17 @@ class Rest(NamedTuple):
 
 
 _NEWTON = 20
-CLOSE = 1e-6  # rad, of angles at rest that were found
+CLOSE = 1e-6  # Largest Newton step of the angles of a rest pose that counts as found, rad.
 
 
 def _pulled(arm: Arm, angles: Array, command: Array) -> Array:
-    """Accelerations of an arm that does not move under what its drives have reached."""
+    """Return the accelerations of a motionless arm whose drives have reached the command."""
     pressures = None if arm.pneumatics is None else arm.pneumatics.commanded(command)
     return acceleration(arm, angles, jnp.zeros_like(angles), command, pressures=pressures)
 
 
 def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
-    """Angles at which an arm rests (rad), and how far off they may be."""
+    """Return the angles at which an arm rests (rad), and the size of the last Newton step."""
 
     def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
         angles, _ = carried
@@ -156,10 +159,10 @@ def rest_at(arm: Arm, commanded: Array) -> Rest:
 def found_rest(
     arm: Arm, commanded: np.ndarray, where: str = "for the final pose of the command"
 ) -> Rest:
-    """The arm about its rest by commanded angles (rad), in NumPy's arrays.
+    """Return the linearised arm at rest under commanded angles (rad), as NumPy arrays.
 
     Raises:
-        InputError: none is found.
+        InputError: no rest pose is found.
     """
     rest = rest_at(arm, jnp.asarray(commanded, jnp.result_type(float)))
     if not rest.known:
@@ -169,18 +172,18 @@ def found_rest(
 
 
 def reached(arm: Arm, commanded: Array) -> Array:
-    """What the drives make of a command in the end, rad."""
+    """Return the angles that the drives reach in the end under a constant command, rad."""
     return followed(constant(commanded), arm.joints)(jnp.zeros((), commanded.dtype))
 
 
 class Flown(NamedTuple):
-    """A command that an arm has followed.
+    """Motion of an arm under a command.
 
     Attributes:
-        angles: rad.
-        tips: where the tip was, m.
-        rest: where the tip comes to rest in the end, m.
-        successful: whether it could be simulated.
+        angles: joint angles, rad.
+        tips: positions of the tip, m.
+        rest: final rest position of the tip, m.
+        successful: whether the motion could be simulated.
     """
 
     angles: Float[Array, "sample joint"]
@@ -190,11 +193,11 @@ class Flown(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """An arm that rests and then follows a command in still air.
+    """An arm that is initially at rest and then follows a command in still air.
 
     Attributes:
-        times: of the samples, s.
-        tolerance: of the motion.
+        times: sample times, s.
+        tolerance: tolerance of the simulated motion.
     """
 
     arm: Arm
@@ -203,7 +206,10 @@ class Flight(NamedTuple):
     tolerance: Scalar
 
     def flown(self, last: int, **how: Any) -> Flown:
-        """The motion, as `simulate` finds it; what remembers swings about its last samples."""
+        """Simulate the motion.
+
+        With hysteresis the rest position is the mean of the last `last` positions of the tip.
+        """
         arm, command = self.arm, self.command
         begun = resting(arm, followed(command, arm.joints)(self.times[0]))[0]
         exact: Any = {"rtol": self.tolerance, "atol": self.tolerance, "throw": False}
@@ -211,24 +217,25 @@ class Flight(NamedTuple):
         motion = simulate(arm, command, self.times, **exact, **how)
         tips = jax.vmap(functools.partial(tip_position, arm))(motion.angles)
         angles, off = resting(arm, followed(command, arm.joints)(self.times[-1]))
-        # What remembers comes to rest elsewhere: about there it swings in the end.
+        # With hysteresis the equilibrium is not known in advance: the arm finally swings about the
+        # mean.
         known = (off < CLOSE) & (arm.further_laws.rows == 0)
         rest = jnp.where(known, tip_position(arm, angles), jnp.mean(tips[-last:], axis=0))
         return Flown(motion.angles, tips, rest, motion.successful)
 
 
 UNTIL, SETTLING = 150, 360
-"""Numbers of samples of a motion during its command and after it."""
+"""Numbers of samples of a motion during and after its command."""
 
 
 def settling_times(end: float, longer: float) -> Float[np.ndarray, " sample"]:
-    """Times until a command ends (s), and then for so long (s)."""
+    """Return sample times until the end of a command (s), and for a duration (s) after it."""
     until = np.linspace(0.0, end, UNTIL, endpoint=False)
     return np.concatenate([until, end + np.linspace(0.0, longer, SETTLING)])
 
 
 def settled_at(times: np.ndarray, distance: np.ndarray, near: float) -> float | None:
-    """When the tip has come to stay near its rest (m), s; None where it has not."""
+    """Return the time from which the tip stays near its rest (m), s; None if there is none."""
     far = np.flatnonzero(distance > near)
     if not far.size:
         return 0.0
@@ -242,13 +249,13 @@ _STIFFNESSES = ("joints.pitch_stiffness", "joints.yaw_stiffness")
 
 
 def softer(model: ArmModel, factor: float) -> ArmModel:
-    """The model with another stiffness of all springs."""
+    """Return the model with the stiffness of all springs multiplied by a factor."""
     values = {path: getattr(model.arm.joints, path.partition(".")[2]) for path in _STIFFNESSES}
     return replace(model, {path: value * factor for path, value in values.items()})
 
 
 def arms_left_open(model: ArmModel, result: FitResult | None, count: int) -> list[Arm]:
-    """Arms with values that the fit leaves open; none without one."""
+    """Return arms with draws of the uncertain parameters of a fit; none without a fit."""
     if result is None:
         return []
     of_arm = declared(model.arm)

@@ -1,4 +1,4 @@
-"""What an arm of giajax has and MuJoCo has not, as passive forces: drag, lift, commands, friction.
+"""Passive forces of a giajax arm that MuJoCo does not have: drag, lift, commands and friction.
 
 With arm.xml, air.json and this file in a folder:
 
@@ -9,7 +9,7 @@ With arm.xml, air.json and this file in a folder:
     with air.forces(lambda time: [0.3] * model.nv):  # commanded angles, rad
         mujoco.mj_step(model, data)
 
-It needs MuJoCo and NumPy alone. The numbers are those of air.json, SI.
+The module requires only MuJoCo and NumPy. The parameters are those of air.json, in SI units.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ OverTime = Callable[[float], Any]
 def passive(
     numbers: Mapping[str, Any], command: OverTime | None = None, wind: OverTime | None = None
 ) -> Callable[[mujoco.MjModel, mujoco.MjData], None]:
-    """A function for `mujoco.set_mjcb_passive`.
+    """Return a function for `mujoco.set_mjcb_passive`.
 
-    `command` gives the commanded angles (rad) and `wind` the velocity of the air (m/s) at a time.
+    `command` returns the commanded angles (rad) and `wind` the velocity of the air (m/s) at a time.
     """
     stiffness, friction, half, drag, axial, lift, steady = (
         np.asarray(numbers[name], dtype=float)
@@ -79,7 +79,7 @@ def forces(
     wind: OverTime | None = None,
     numbers: Mapping[str, Any] | None = None,
 ) -> Iterator[None]:
-    """While this lasts, MuJoCo has the forces: of air.json beside this file by default."""
+    """Apply the forces in this context; the default parameters are in air.json beside this file."""
     if numbers is None:
         numbers = json.loads(Path(__file__).with_name("air.json").read_text())
     mujoco.set_mjcb_passive(passive(numbers, command, wind))

@@ -1,4 +1,4 @@
-"""Commands that take a hysteretic joint to its targets."""
+"""Commands that move a hysteretic joint to its targets."""
 
 import dataclasses
 from typing import Any, cast
@@ -18,22 +18,23 @@ from ..recordings import Channel, Run
 from ..runtime.text import InputError
 from ..schema.parameters import get
 
-_TRAVEL = 1 / 3  # a third of the range: short against the range, long against the noise
-_ROUNDING = 1e-6  # an excess over the reachable range that is rounding of a file
+_TRAVEL = 1 / 3  # Small compared with the range, large compared with the noise.
+# Tolerated excess over the reachable range, due to the rounding of numbers in a file.
+_ROUNDING = 1e-6
 
 
 @dataclasses.dataclass(eq=False)
 class Compensator:
-    """From a history of target outputs to one of inputs, both SI.
+    """Mapping from a history of target outputs to a history of inputs, both SI.
 
-    Made by `compensator_for_model` (the inverse of a fitted operator) or
+    It is made by `compensator_for_model` (the inverse of a fitted operator) or
     `compensator_for_loop` (eq. 12 of the paper).
 
     Attributes:
-        operator: that takes an output less the offset (SI) to an input, from its state.
-        reachable: least and greatest output that some input gives, SI.
-        input_channel: what is commanded.
-        output_channel: what was measured; None where that is not known.
+        operator: operator that maps an output minus the offset (SI) to an input, from `state`.
+        reachable: smallest and largest output that some input produces, SI.
+        input_channel: channel of the command.
+        output_channel: channel of the measured output; None if unknown.
     """
 
     operator: AbstractOperator
@@ -44,16 +45,16 @@ class Compensator:
     output_channel: Channel | None = None
 
     def commands(self, target: np.ndarray) -> np.ndarray:
-        """Inputs for a history of target outputs, both SI, shape (sample,)."""
+        """Return the inputs for a history of target outputs, both SI, shape (sample,)."""
         values = jnp.asarray(target - self.offset, dtype=jnp.result_type(float))
         return np.asarray(self.operator.history(values, self.state)[0])
 
     def commands_for(self, run: Run) -> np.ndarray:
-        """Inputs for the output (or angle) of a run.
+        """Return the inputs for the output (or angle) of a run.
 
         Raises:
-            InputError: a run without one target output at every sample, of another quantity, or
-                one beyond what can be reached: the sample is named.
+            InputError: a run without exactly one complete target output, a target of another
+                quantity, or a target outside the reachable range (the sample is named).
         """
         channel = target_channel(run)
         if self.output_channel is not None and not comparable(channel, self.output_channel):
@@ -90,20 +91,20 @@ class Compensator:
 
 
 def target_channel(run: Run) -> Channel:
-    """The one channel of a run that is a target."""
+    """Return the only target channel of a run."""
     targets = [channel for channel in run.channels.values() if channel.kind in run.kind.outputs]
     if len(targets) != 1:
         raise InputError(
-            f"'{run.name}' has {len(targets)} output or angle columns: give only one, the target"
+            f"'{run.name}' has {len(targets)} output or angle columns: give only the target column"
         )
     return targets[0]
 
 
 def compensator_for_model(model: AbstractModel) -> Compensator:
-    """The inverse of a fitted model: exact for Prandtl-Ishlinskii and its modified form.
+    """Return the inverse of a fitted model.
 
-    Other operators are inverted by bisection within the range of the input that they were fitted
-    to.
+    It is exact for the Prandtl-Ishlinskii operator and its modified form. Other operators are
+    inverted by bisection within the range of the input that they were fitted to.
 
     Raises:
         InputError: a model of another kind, or an operator that has no inverse.
@@ -119,7 +120,7 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
     if isinstance(operator, PrandtlIshlinskii | ModifiedPrandtlIshlinskii):
         inverse, memory = operator.inverse(), operator.inverse_state(state)
     else:
-        # The first move may come from 0, outside the range.
+        # The first move may start from 0, outside the range.
         longest = max(2 * model.settings.reach, *map(abs, model.settings.input_range))
         fine = operator.for_moves_of(longest)
         inverse, memory = InverseByBisection(fine, *model.settings.input_range), state
@@ -128,13 +129,13 @@ def compensator_for_model(model: AbstractModel) -> Compensator:
 
 
 def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
-    """Eq. (12) of the paper with the branches of a recorded loop over the whole range.
+    """Return eq. (12) of the paper with the branches of a recorded loop over the whole range.
 
-    The transition coefficient goes from 0 to 1 within the travel, SI; a third of the range of the
-    output by default.
+    The transition coefficient changes from 0 to 1 within `travel`, SI. The default is a third of
+    the range of the output.
 
     Raises:
-        InputError: a run of another model, or one that does not have both branches.
+        InputError: a run of another model, or a run that does not contain both branches.
     """
     run.require_observations()
     name, values = next(iter(run.observations.items()))
@@ -143,7 +144,7 @@ def compensator_for_loop(run: Run, travel: float | None = None) -> Compensator:
     operator = branches_from_loop(run.values[channel.name], values, travel)
     if not operator.reachable[0] < operator.reachable[1]:
         raise InputError(
-            f"the branches of '{run.name}' share no range of {name}: give a loop that rises and "
-            "falls over the same range"
+            f"the branches of '{run.name}' do not share a range of {name}: give a loop that "
+            "rises and falls over the same range"
         )
     return Compensator(operator, None, 0.0, operator.reachable, channel, run.channels[name])

@@ -1,4 +1,4 @@
-"""Simulated experiments, of which no public recording exists: one link, a Bouc-Wen benchmark."""
+"""Simulated experiments without a public recording: one link, and a Bouc-Wen benchmark."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -34,20 +34,21 @@ from .synthetic import synthesise
 
 _Degrees = npt.NDArray[np.float64]
 
-# Within this angle a command is held for longer.
+# Commands within this angle are held longer.
 _SLOW = 30.0
 _SLOW_SECONDS, _SECONDS = 20.0, 5.0
 
 _OTHER = (0, 45, -35, 30, -20, 50, 10, 40, -10, 20, -50, -5, -30, 15, 0)
-_PAPER = (0, 60, -60, 0)  # turns of the paper's history, deg; of the preparatory movement, too
+# Turning points of the paper's history, and of its preparatory movement, deg.
+_PAPER = (0, 60, -60, 0)
 
 
 @dataclass(frozen=True)
 class History:
-    """Target angles one degree apart, and when the joint has come to rest and is measured, s.
+    """Target angles in steps of one degree, and the times at which the joint is at rest, s.
 
     Attributes:
-        measured: which samples are measured, after the preparatory movement.
+        measured: which samples are measured, those after the preparatory movement.
     """
 
     name: str
@@ -57,9 +58,9 @@ class History:
 
 
 def history(name: str, turns: Sequence[float]) -> History:
-    """The paper's preparatory movement, then from turn to turn (deg) by 1 deg.
+    """Return the paper's preparatory movement, then steps of 1 deg between turning points (deg).
 
-    A step takes 5 s, and 20 s where the command is within 30 deg of 0.
+    A step takes 5 s, or 20 s if the command is within 30 deg of 0.
     """
     before = _steps(_PAPER)
     target = np.concatenate([before, _steps(turns)[1:]])
@@ -73,42 +74,43 @@ def _steps(turns: Sequence[float]) -> _Degrees:
 
 
 def paper_history() -> History:
-    """0, 60, -60, 0 deg, after the same as a preparation."""
+    """Return the history 0, 60, -60, 0 deg, after the same movement as preparation."""
     return history("paper", _PAPER)
 
 
 def other_history() -> History:
-    """Other amplitudes and minor loops, which nothing is identified on."""
+    """Return a history of other amplitudes and minor loops, not used for identification."""
     return history("other", _OTHER)
 
 
-# A simulated 1-link arm that stands for the paper's prototype of section IV.A.
+# A simulated 1-link arm that stands in for the paper's prototype of section IV.A.
 #
-# It is made of other parts than what is fitted to it: Preisach hysteresis of the film, Bouc-Wen
-# hysteresis of the muscles, and a joint that snaps through about 0 deg.
+# It contains other elements than the models that are fitted to it: Preisach hysteresis of the film,
+# Bouc-Wen hysteresis of the muscles, and a joint that snaps through near 0 deg.
 
 _RANGE = 60.0
 
 
 @dataclass(frozen=True)
 class SimulatedJoint:
-    """Angle of a joint by its command, both in degrees, at rest after each step.
+    """Angle of a joint as a function of its command, both in degrees, at rest after each step.
 
-    The command, through the hysteresis of film and muscles, gives a drive x. The angle is
-    x + gap exp(-x / decay) on the positive side, and the mirror image of that on the negative one.
-    Within the gap about 0 the stiffness is negative and the joint does not stay: it snaps through
-    when the drive goes beyond the snap. So it is soft about 0, and follows further out.
+    The command passes the hysteresis of film and muscles, which gives a drive x. The angle is
+    x + gap exp(-x / decay) on the positive side, and the mirror image on the negative side. Within
+    the gap about 0 the stiffness is negative and the joint cannot rest: it snaps through when the
+    drive exceeds `snap`. It is therefore soft near 0, and follows the command at larger angles.
 
     Attributes:
-        gap: angles on the positive and the negative side where the joint does not stay, deg.
+        gap: angles on the positive and the negative side within which the joint cannot rest, deg.
         decay, snap: drives, deg.
-        film: share of the film in the drive; `film_width`, `film_spread` and `film_scatter` are
-            half-width (deg), spread and centre spread (deg) of its Preisach density.
-        muscle: share of the muscles' hysteresis in the drive.
-        muscle_travel: command (deg) within which a muscle goes from one branch to the other.
+        film: share of the film in the drive. The half-width (deg), spread and centre spread (deg)
+            of its Preisach density are `film_width`, `film_spread` and `film_scatter`.
+        muscle: share of the hysteresis of the muscles in the drive.
+        muscle_travel: change of the command (deg) within which a muscle changes its branch.
         pressure_noise: standard deviation of the drive from step to step, deg.
-        inclination: of the camera, added to every measured angle, deg.
-        marker_noise, marker_distance: deviation of a marker's position, and between the two, m.
+        inclination: inclination of the camera, added to every measured angle, deg.
+        marker_noise, marker_distance: standard deviation of the position of a marker, and distance
+            between the two markers, m.
     """
 
     gap: tuple[float, float] = (12.6, 12.3)
@@ -127,7 +129,7 @@ class SimulatedJoint:
     seed: int = 0
 
     def drive(self, commands: npt.ArrayLike) -> _Degrees:
-        """Command after the hysteresis of film and muscles, deg, shape (sample,)."""
+        """Return the command after the hysteresis of film and muscles, deg, shape (sample,)."""
         u = jnp.asarray(np.asarray(commands, dtype=float) / _RANGE)
         film = Preisach(
             slope=jnp.asarray(0.0),
@@ -153,7 +155,7 @@ class SimulatedJoint:
         return _RANGE * np.asarray(elastic * u + parts)
 
     def rest_angles(self, drive: _Degrees) -> _Degrees:
-        """The angle that the joint settles at, on the side of the gap that it is on, deg."""
+        """Return the angles at which the joint rests, on its current side of the gap, deg."""
         settled, upper = [], bool(drive[0] >= 0)
         for x in drive:
             if abs(x) > self.snap:
@@ -163,13 +165,13 @@ class SimulatedJoint:
         return np.asarray(settled)
 
     def angles(self, commands: npt.ArrayLike, *, trial: int = 0) -> _Degrees:
-        """The true angle after each step of a history of commands, deg, shape (sample,)."""
+        """Return the true angle after each step of a history of commands, deg, shape (sample,)."""
         drive = self.drive(commands)
         random = np.random.default_rng([self.seed, trial, 1])
         return self.rest_angles(drive + self.pressure_noise * random.standard_normal(len(drive)))
 
     def measured(self, commands: npt.ArrayLike, *, trial: int = 0) -> _Degrees:
-        """The angle as two markers show it to an inclined camera, deg; each trial has its noise."""
+        """Return the angle from two markers seen by an inclined camera, deg, with noise."""
         true = np.deg2rad(self.angles(commands, trial=trial) + self.inclination)
         random = np.random.default_rng([self.seed, trial, 2])
         ahead = self.marker_distance * np.stack([np.cos(true), np.sin(true)])
@@ -178,22 +180,23 @@ class SimulatedJoint:
         return np.rad2deg(np.arctan2(seen[1], seen[0]))
 
 
-# Nested and displaced loops: where eq. (12) needs one loop, an operator with memory needs more.
+# Nested and displaced loops: eq. (12) needs only one loop, but an operator with memory needs more.
 _NESTED = (0, 50, -50, 40, -40, 30, -30, 20, -20, 10, -10, 0, 50, 20, 45, 10, -45, -15, -40, -5, 0)
 
-_TRAVEL = np.deg2rad(40.0)  # the paper does not say over how much travel xi goes from 0 to 1
+# Change of the command over which xi changes from 0 to 1: the paper does not give it.
+_TRAVEL = np.deg2rad(40.0)
 _THRESHOLDS = 12
 _DEAD_ZONES = tuple(float(value) for value in np.deg2rad([0.5, 1, 2, 4, 8, 16, 32, 48]))
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One history followed with one compensation.
+    """One history with one compensation.
 
     Attributes:
         compensation: "none", "branches" (eq. 12) or "inverse".
-        commands: what was sent, deg.
-        angles: what was measured, the offset removed, deg, NaN during the preparation.
+        commands: commanded angles, deg.
+        angles: measured angles without the offset, deg; NaN during the preparation.
     """
 
     history: History
@@ -203,7 +206,7 @@ class Trial:
 
     @property
     def errors(self) -> _Degrees:
-        """Measured less target angles where measured, deg."""
+        """Measured minus target angles where measured, deg."""
         return (self.angles - self.history.target)[self.history.measured]
 
     @property
@@ -219,13 +222,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class OneLink:
-    """What the experiment gives.
+    """Result of the experiment.
 
     Attributes:
-        trials: by history, then by compensation.
-        recording: what was identified on.
-        result: the fit of the modified Prandtl-Ishlinskii operator.
-        offset: of the camera, by the paper's history, deg.
+        trials: trials, by history and then by compensation.
+        recording: recording used for identification.
+        result: fit of the modified Prandtl-Ishlinskii operator.
+        offset: offset of the camera, from the paper's history, deg.
     """
 
     trials: tuple[Trial, ...]
@@ -234,7 +237,7 @@ class OneLink:
     offset: float
 
     def trial(self, history: str, compensation: str) -> Trial:
-        """One of the trials by its names."""
+        """Return the trial of a history and a compensation."""
         return next(
             trial
             for trial in self.trials
@@ -250,9 +253,9 @@ def one_link(
 ) -> OneLink:
     """Run the experiment.
 
-    Offsets are removed as the paper does: on its own history the one that makes the mean error
-    least, for each trial. On the other history the camera has not moved: the offset is that of the
-    recording. The travel is that of eq. (12), rad. Ctrl-C ends it.
+    On the paper's history the offset is removed as in the paper: for each trial the one that
+    minimises the mean error. For the other history the camera has not moved, so the offset of the
+    recording is used. The travel is that of eq. (12), rad. Ctrl-C ends the experiment.
     """
     joint = SimulatedJoint() if joint is None else joint
     say = progress or (lambda text: None)
@@ -265,7 +268,7 @@ def one_link(
     say("fitting the modified Prandtl-Ishlinskii operator")
     result = _identify(recording)
     if result.status == "interrupted":
-        # Trials with an operator that was cut short would look like whole ones.
+        # Trials with an incompletely fitted operator would look like complete ones.
         raise KeyboardInterrupt
     inverse = compensator_for_model(result.model)
     trials, number = [], 0
@@ -276,11 +279,11 @@ def one_link(
             commands = plan.target
             if compensator is not None:
                 aimed = np.clip(np.deg2rad(plan.target), *compensator.reachable)
-                # The joint takes no command beyond its range.
+                # The joint takes no command outside its range.
                 commands = np.clip(np.rad2deg(compensator.commands(aimed)), -_RANGE, _RANGE)
             seen = joint.measured(commands, trial=number)
             error = (seen - plan.target)[plan.measured]
-            # The median makes the mean error least.
+            # The median minimises the mean absolute error.
             removed = float(np.median(error)) if plan is paper else offset
             shown = np.where(plan.measured, seen - removed, np.nan)
             trials.append(Trial(plan, name, commands, shown))
@@ -288,7 +291,7 @@ def one_link(
 
 
 def record_joint(joint: SimulatedJoint | None = None) -> Run:
-    """What the compensations are identified from: the paper's history, then loops within it."""
+    """Return the recording used for identification: the paper's history, then loops within it."""
     recording, _ = _record(SimulatedJoint() if joint is None else joint)
     return recording
 
@@ -301,9 +304,9 @@ def _record(joint: SimulatedJoint) -> tuple[Run, float]:
 
 
 def _identify(recording: Run) -> FitResult:
-    """Fit the modified Prandtl-Ishlinskii operator to a recording of a joint."""
-    # An operator only approximates the joint, and its inverse is to be near it: what is left has a
-    # memory, but is no noise.
+    """Fit the modified Prandtl-Ishlinskii operator to the recording of a joint."""
+    # The operator only approximates the joint, and its inverse must be close to the joint. The
+    # residuals are correlated model errors, not noise.
     return fit(
         model_for([recording]), recording, noise_model="white", check=False, max_iterations=150
     )
@@ -327,7 +330,7 @@ def _run(plan: History, angles: _Degrees) -> Run:
     )
 
 
-# Title and colour by compensation.
+# Title and colour of each compensation.
 _COLUMNS = {
     "none": ("without compensation", VERMILLION),
     "branches": ("eq. (12)", BLUE),
@@ -337,10 +340,10 @@ _HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and min
 
 
 def figure_12(study: OneLink) -> Figure:
-    """One row a history, one column a compensation."""
+    """Plot one row per history and one column per compensation."""
     histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
     columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
-    title = "One link (simulated): measured angle against target angle, offset removed"
+    title = "One link (simulated): measured angle versus target angle, offset removed"
     figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
     grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, name in enumerate(histories):
@@ -375,14 +378,14 @@ ONE_LINK_FILES = (
     *("fig12.png", "fig12.csv", "errors.csv", "result.json"),
     *("recording.csv", "recording.toml"),
 )
-"""Names of the files that the 1-link experiment writes."""
+"""Names of the files that the one-link experiment writes."""
 
 _ERRORS = ("history", "compensation", "mean_error_deg", "largest_error_deg")
 _TABLE = ("history", "compensation", "time_s", "target_deg", "command_deg", "angle_deg")
 
 
 def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list[Path]:
-    """Write the picture, its numbers, the errors, the recording and the fit; the paths of them."""
+    """Write figure, table, errors, recording and fit, and return the paths of the files."""
     check_output_folder(folder, ONE_LINK_FILES, force=force)
     make_folder(folder)
     errors = [
@@ -403,7 +406,7 @@ def write_one_link(study: OneLink, folder: Path, *, force: bool = False) -> list
 
 
 def one_link_table(study: OneLink) -> dict[str, list[str]]:
-    """Every sample of every trial, the numbers of fig. 12; an empty cell was not measured."""
+    """Return every sample of every trial, as in fig. 12; cells that were not measured are empty."""
     rows = []
     for trial in study.trials:
         plan = trial.history
@@ -416,7 +419,7 @@ def one_link_table(study: OneLink) -> dict[str, list[str]]:
     return columns_of(_TABLE, rows)
 
 
-# The benchmark of a mass on a spring and damper with a Bouc-Wen element, generated here.
+# The benchmark of a mass with spring, damper and Bouc-Wen element, generated here.
 #
 # Reference: J. P. Noel, M. Schoukens, "Hysteretic benchmark with a dynamic nonlinearity",
 # Workshop on Nonlinear System Identification Benchmarks, Brussels 2016.
@@ -429,12 +432,12 @@ _PATHS = ("mass", "damping", "stiffness", "alpha", "beta", "gamma", "delta")
 
 @dataclass(frozen=True)
 class BoucWenBenchmark:
-    """Runs of the benchmark and what is behind them.
+    """Runs of the benchmark and their true parameters.
 
     Attributes:
-        multisine: 5 to 150 Hz, 50 N RMS, 8192 samples at 750 Hz, 8e-3 mm RMS of noise.
-        sweep: 20 to 50 Hz at 10 Hz a minute, 40 N, without noise.
-        truth: parameters and determined products, SI.
+        multisine: 5 to 150 Hz, 50 N RMS, 8192 samples at 750 Hz, noise of 8e-3 mm RMS.
+        sweep: 20 to 50 Hz at 10 Hz per minute, 40 N, without noise.
+        truth: parameters and identifiable products, SI.
     """
 
     multisine: Run
@@ -443,16 +446,16 @@ class BoucWenBenchmark:
 
 
 def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
-    """Generate the benchmark; the phases of the multisine and the noise come from the seed.
+    """Generate the benchmark; the seed determines the phases of the multisine and the noise.
 
-    The force of the multisine is one period of a band-limited signal, that of the sweep is
+    The force of the multisine is one period of a band-limited signal. The force of the sweep is
     linear between its rows.
     """
     model = OscillatorModel(interpolation="band_limited").refined(1e-3)
     truth = {path: float(get(model, path)) for path in _PATHS}
     truth |= {name: float(derived.value) for name, derived in model.derived().items()}
     force = multisine(np.random.default_rng(seed))
-    # To the digits of a file, so that a run that is read again is the same.
+    # Round to the digits of a file, so that a run is the same after it is written and read.
     times = np.round(np.arange(_SAMPLES) / _RATE, 9)
     recorded = synthesise(
         model,
@@ -472,7 +475,7 @@ def bouc_wen_benchmark(seed: int = 0) -> BoucWenBenchmark:
 
 
 def multisine(random: np.random.Generator) -> npt.NDArray[np.float64]:
-    """One period of equal amplitudes and random phases, 5 to 150 Hz, 50 N RMS; N."""
+    """Return one period with equal amplitudes and random phases, 5 to 150 Hz, 50 N RMS, in N."""
     frequencies = np.arange(_SAMPLES // 2 + 1) * _RATE / _SAMPLES
     excited = (frequencies >= 5) & (frequencies <= 150)
     phases = np.exp(2j * np.pi * random.uniform(size=len(frequencies)))
@@ -481,12 +484,12 @@ def multisine(random: np.random.Generator) -> npt.NDArray[np.float64]:
 
 
 def _sweep() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Times (s) and force (N) of a sine of 40 N from 20 to 50 Hz, 10 Hz a minute."""
+    """Return times (s) and force (N) of a sine of 40 N from 20 to 50 Hz at 10 Hz per minute."""
     growth = 10 / 60
     times = np.arange(0, 30 / growth, 1 / _RATE)
     return times, 40 * np.sin(2 * np.pi * (20 + growth / 2 * times) * times)
 
 
 def decibels(rms: float) -> float:
-    """An RMS error (m) as the literature on the benchmark states it: 20 log10 of it."""
+    """Return an RMS error (m) in decibels, 20 log10 of it, as in the literature."""
     return float(20 * np.log10(rms))

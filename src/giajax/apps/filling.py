@@ -1,4 +1,4 @@
-"""An arm of balloons that is filled with helium: its course in time, tables and pictures."""
+"""Helium filling of an arm of balloons: simulation, tables and figures."""
 
 import dataclasses
 import functools
@@ -45,16 +45,17 @@ _MOST_STEPS = 20_000
 
 
 class State(NamedTuple):
-    """What changes: gas of each bag, and all that the supply has fed, over what fills them."""
+    """Gas in each bag and gas supplied in total, each divided by the mass when full."""
 
     share: PerBag
     supplied: Scalar
 
 
 class _Course(NamedTuple):
-    """Gas over time, at evenly spaced times (s) from 0 to the end, as `Filled` has it.
+    """Gas at evenly spaced times (s) from 0 to the end; see `Filled`.
 
-    Shares and what was supplied are over what fills a bag, or all. Times of what never came: NaN.
+    Shares and supplied gas are divided by the mass of a full bag, or of all bags. Times of events
+    that did not occur are NaN.
     """
 
     times: Float[Array, " time"]
@@ -69,7 +70,7 @@ class _Course(NamedTuple):
 
 
 def rates(time: Any, state: State, filling: Filling) -> State:
-    """Rates of change, 1/s: what comes through one port of a bag less what leaves by the other."""
+    """Return rates of change, 1/s: inflow through one port of a bag minus outflow of the other."""
     full = filling.full_mass
     total = jnp.sum(full)
     pressure = _bags_at(filling, state.share).pressure
@@ -80,12 +81,12 @@ def rates(time: Any, state: State, filling: Filling) -> State:
 
 
 def _bags_at(filling: Filling, share: PerBag) -> BagState:
-    """Pressure and volume of the bags."""
+    """Return pressure and volume of the bags."""
     return bag_state(filling.gas, filling.skin, filling.stretch, share)
 
 
 def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]:
-    """Mass that each link could still carry, kg: air displaced, less gas and all that it bears."""
+    """Return the mass that each link could still carry, kg: displaced air minus gas and load."""
     arm, here = filling.arm, filling.bag_of_link
     fullness = _bags_at(filling, share).fullness[here]
     lift = arm.air.density * fullness - filling.gas.density * share[here]
@@ -94,24 +95,25 @@ def _net_lift_of_links(filling: Filling, share: PerBag) -> Float[Array, " link"]
 
 @program
 def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, times: int) -> _Course:
-    """Fill until every bag has what fills it, or until the end (s); told of at so many times.
+    """Fill until every bag is full, or until the end (s), and return the state at `times` times.
 
-    The share is what bags have at the beginning. The tolerance of the steps is relative to what
-    fills a bag.
+    `share` is the initial content of the bags. The tolerance of the integrator is relative to the
+    mass of a full bag.
     """
     exact = 100 * float(jnp.finfo(end.dtype).eps)
 
     def missing(t: Scalar, y: State, args: Filling, **_: object) -> Scalar:
         return jnp.min(y.share) - 1
 
-    # What is full at the beginning has no time at which it becomes so.
+    # Bags that are full initially trigger no event: only a very short interval is then simulated.
     was_full = jnp.min(share) >= 1
     end = jnp.where(was_full, 1e-6 * end, end)
     full_mass = filling.full_mass
     supplied = jnp.sum(share * full_mass) / jnp.sum(full_mass)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(rates),
-        # The pressures of bags that are tight settle within a second, the whole takes minutes.
+        # The problem is stiff: pressures of tight bags settle within a second, filling takes
+        # minutes.
         diffrax.Kvaerno5(),
         t0=jnp.zeros_like(end),
         t1=end,
@@ -140,7 +142,7 @@ def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, tim
         grid,
         known.share,
         known.supplied,
-        # What the event stopped at is full then, up to rounding.
+        # The bag that triggered the event is full at that time, up to rounding.
         jnp.where(finished & jnp.isnan(full), last, full),
         lifts,
         lifts_all,
@@ -153,14 +155,15 @@ def _course(filling: Filling, share: PerBag, end: Scalar, tolerance: Scalar, tim
 def crossings(
     of: Callable[[Any], Array], solution: diffrax.Solution, grid: Array, known: Any
 ) -> Array:
-    """When each number of a state is first 0 or more, s: by bisection of the solution.
+    """Return the time at which each component is first at least 0, s, by bisection of the solution.
 
-    It is the first time of the grid where it is so there, and NaN where it never is.
+    It is the first grid time if the component is at least 0 there, and NaN if it never is.
 
     Arguments:
-        of: the numbers of a state.
+        of: function that returns the components of a state.
+        solution: dense solution.
         grid: times, s.
-        known: the states at these.
+        known: states at these times.
     """
     above = jax.vmap(of)(known) >= 0
     first = jnp.argmax(above, axis=0)
@@ -188,25 +191,26 @@ _TOLERANCE = 1e-8
 
 @dataclasses.dataclass(frozen=True)
 class Filled:
-    """An arm that was filled, over time.
+    """Result of the filling of an arm, versus time.
 
-    Links of one bag have the same fullness, pressure and times.
+    Links that share a bag have the same fullness, pressure and times.
 
     Attributes:
-        times: s, from 0 until all is full, shape (time,).
-        fullness: volume of each link over that of its tube, shape (time, link).
-        pressure: of each link above that of the room, Pa, shape (time, link).
-        gas: mass in each link, kg, shape (time, link).
-        supplied: mass that the supply has fed, kg, shape (time,).
-        flow: of the supply, as volume at the pressure of the room, m^3/s, shape (time,).
-        net_lift: what each link could carry beside itself, kg, shape (time, link).
-        folding_moment: p pi r^3 of each link, at which it folds, N m, shape (time, link).
-        stiffness: bending stiffness of each link, N m^2, shape (time, link); assumed: that of
-            Comer and Levy's tube under the moment of its own weight at its end.
-        full: when each link has the gas that fills it, s; NaN where it never has, shape (link,).
-        lift_off: when each link's lift bears the link, s; NaN where it never does, shape (link,).
-        arm_lift_off: when the lift of all links bears the mass of all, s.
-        finished: whether all links were filled within the limit.
+        times: times from 0 until all links are full, s, shape (time,).
+        fullness: volume of each link divided by that of its tube, shape (time, link).
+        pressure: gauge pressure of each link, Pa, shape (time, link).
+        gas: mass of gas in each link, kg, shape (time, link).
+        supplied: mass of gas from the supply, kg, shape (time,).
+        flow: volume flow of the supply at ambient pressure, m^3/s, shape (time,).
+        net_lift: mass that each link could carry in addition, kg, shape (time, link).
+        folding_moment: moment p pi r^3 at which each link folds, N m, shape (time, link).
+        stiffness: bending stiffness of each link, N m^2, shape (time, link). It is assumed to be
+            that of Comer and Levy's tube under the moment of its own weight at its end.
+        full: time at which each link is full, s; NaN if it never is, shape (link,).
+        lift_off: time at which the lift of each link exceeds its weight, s; NaN if it never does,
+            shape (link,).
+        arm_lift_off: time at which the lift of all links exceeds their total weight, s.
+        finished: whether all links were full within the time limit.
     """
 
     filling: Filling
@@ -226,18 +230,18 @@ class Filled:
 
     @property
     def duration(self) -> float:
-        """How long filling took, s; NaN where it was not finished."""
+        """Duration of the filling, s; NaN if it was not finished."""
         return float(np.max(self.full))
 
     @property
     def imbalance(self) -> float:
-        """Largest difference of what was fed and what is in the links, over what fills them."""
+        """Largest difference between supplied gas and gas in the links, over the mass when full."""
         off = np.max(np.abs(self.supplied - self.gas.sum(axis=1)))
         return float(off) / float(np.sum(np.asarray(self.filling.full_mass)))
 
     @property
     def inflation(self) -> dict[str, _Numbers]:
-        """Pressure and fullness of the links in the end, for `giajax.replace` of the arm.
+        """Final pressure and fullness of the links, for `giajax.replace` of the arm.
 
         Example:
             >>> import giajax
@@ -247,20 +251,26 @@ class Filled:
             713
         """
         known = np.asarray(self.filling.arm.links.fullness)
-        # The integrator leaves traces below 0 in bags that nothing has reached.
+        # The integrator leaves small negative values in bags that no gas has reached.
         state = np.maximum([self.pressure[-1], known * self.fullness[-1]], 0)
         return dict(zip((LINKS.pressure.path, LINKS.fullness.path), state, strict=True))
 
     @property
     def collapse(self) -> str | None:
-        """Which links end with too little pressure for a muscle at its limit; None: none do."""
+        """Sentence on links whose final pressure is too low for a muscle at its pressure limit.
+
+        None if there are no such links.
+        """
         arm = self.filling.arm
         pressure = self.inflation[LINKS.pressure.path]
         return collapse(pressure, np.asarray(arm.links.diameter), muscle_pull(arm))
 
 
 def muscle_pull(arm: Arm) -> float:
-    """Force of one muscle of an arm at its limit of pressure, N; of a braided one without any."""
+    """Return the force of one muscle of an arm at its pressure limit, N.
+
+    An arm without muscles is given the default braided muscle.
+    """
     muscle = BraidedMuscle() if arm.pneumatics is None else arm.pneumatics.muscle
     still = jnp.zeros_like(muscle.pressure_limit)
     length = jnp.full_like(still, AT_REST.length.default)
@@ -273,16 +283,16 @@ def fill(
     limit: float = LIMIT,
     share: npt.ArrayLike = 0.0,
 ) -> Filled:
-    """Fill an arm of balloons with helium, until every link is full (fig. 15).
+    """Fill an arm of balloons with helium until every link is full (fig. 15).
 
     Arguments:
-        filling: arm, gas, ports and supply; those of the paper by default.
-        limit: when to give up, s.
-        share: gas that is in the bags at the beginning, over what fills them: one number, or one
+        filling: arm, gas, ports and supply. The default is those of the paper.
+        limit: time limit, s.
+        share: initial gas in the bags, divided by the gas of a full bag: one number, or one number
             for each bag. It counts as supplied.
 
     Raises:
-        InputError: a number that is out of its bounds, or steps that do not come to an end.
+        InputError: a number outside its bounds, or a simulation that does not finish.
 
     Example:
         >>> import giajax
@@ -321,14 +331,14 @@ def fill(
 
 
 def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
-    """The share of each bag at the beginning, from one number or one for each."""
+    """Return the initial share of each bag, from one number or one for each bag."""
     given = np.asarray(share, dtype=float)
     if given.shape not in ((), (filling.bags,)):
         raise InputError(
             f"the filled share has the shape {given.shape}, but the arm has {filling.bags} bags: "
             "give one number, or one number for each bag"
         )
-    # The integrator leaves traces below 0 in bags that nothing has reached.
+    # The integrator leaves small negative values in bags that no gas has reached.
     wrong = given[~((given >= -_TOLERANCE) & (given < np.inf))]
     if wrong.size:
         raise InputError(f"a filled share is {wrong[0]:g}: give zero or a positive number")
@@ -338,7 +348,7 @@ def _shares(filling: Filling, share: npt.ArrayLike) -> _Numbers:
 def _tried(
     filling: Filling, limit: float, tolerance: float, share: npt.ArrayLike | None = None
 ) -> _Course:
-    """The gas over time, as far as its steps came."""
+    """Return the simulated filling, up to the last successful step."""
     if jnp.result_type(float) == jnp.float32:
         tolerance = max(tolerance, 1e-4)
     empty = np.zeros(filling.bags) if share is None else share
@@ -348,23 +358,23 @@ def _tried(
 
 
 def check_filling(filling: Filling) -> None:
-    """Refuse numbers that are out of bounds.
+    """Raise an error for parameters outside their bounds.
 
     Raises:
-        InputError: naming the parameter.
+        InputError: a parameter is outside its bounds; the message names it.
     """
     own = {declaration.path for group in (GAS, SKIN, PORTS, SUPPLY) for declaration in group}
     for path, parameter in declared(filling).items():
         if path in own or path.startswith("links.") or path == "air.density":
             for value in np.ravel(np.asarray(parameter.value(filling))).tolist():
-                # A bound of 0 is a port without a hole.
+                # A value at the bound 0 is valid: it describes a port without a hole.
                 closed = path in own and value <= parameter.declaration.lower
                 check_within_bounds(parameter, value, free=closed)
 
 
 @program
 def _states(filling: Filling, found: _Course) -> tuple[Array, Array, Array, Array]:
-    """Pressure and fullness of bags, flow of the supply and net lift of links, by time."""
+    """Return pressure and fullness of bags, flow of the supply and net lift of links, by time."""
     total = jnp.sum(filling.full_mass)
 
     def at(share: Array, supplied: Scalar) -> tuple[Array, Array, Array, Array]:
@@ -383,21 +393,22 @@ DIAMETERS = (0.004, 0.005, 0.006, 0.007, 0.008, 0.01, 0.012, 0.015, 0.02)
 """Diameters of the ports for which the curve is computed, m."""
 
 _TRIES = 40
-# A supply that is a hundred times as strong will not do either.
+# Largest change of the logarithm: a supply a hundred times as strong would not suffice either.
 _FAR = math.log(1e2)
 _CLOSE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
 class FillingCurve:
-    """Pairs of port and supply with which filling takes a given time (s).
+    """Pairs of port diameter and supply for which filling takes a given time (s).
 
     Attributes:
-        diameters: of all ports, m, shape (pair,).
-        strengths: what the supply must have, SI: the parameter `path`; NaN where no supply will do.
-        path: of the supply's parameter: flow, pressure of the regulator, nozzle of the bottle.
-        flows: of the supply when it begins, as volume at the pressure of the room, m^3/s.
-        pressures: the largest of the first bag above that of the room, Pa.
+        diameters: diameter of all ports, m, shape (pair,).
+        strengths: required value of the supply parameter `path`, SI; NaN if no value suffices.
+        path: path of that parameter: the flow, the pressure of the regulator, or the nozzle of the
+            bottle.
+        flows: initial volume flow of the supply at ambient pressure, m^3/s.
+        pressures: largest gauge pressure of the first bag, Pa.
     """
 
     duration: float
@@ -414,13 +425,15 @@ def filling_curve(
     duration: float = PAPER_DURATION,
     diameters: Sequence[float] = DIAMETERS,
 ) -> FillingCurve:
-    """The supply for each diameter (m) of the ports with which filling takes a given time (s).
+    """Return the supply for each port diameter (m) for which filling takes a given time (s).
 
     Arguments:
         filling: arm, gas, ports and supply; all ports are given the same diameter.
+        duration: duration of the filling, s.
+        diameters: diameters of the ports, m.
 
     Raises:
-        InputError: a number that is out of its bounds, or an arm without ports.
+        InputError: a number outside its bounds, or an arm without ports.
     """
     made = Filling() if filling is None else filling
     if made.bags < 2:
@@ -434,7 +447,7 @@ def filling_curve(
     path = STRENGTHS[made.supply.kind]
 
     def one(diameter: float, begin: _Slope) -> tuple[_Slope, tuple[float, ...]]:
-        """Where the next one begins, and the pair with its flow and pressure."""
+        """Return the next initial guess, and the pair with its flow and pressure."""
         narrowed = replace(made, {PORTS.diameter.path: float(diameter)})
         check_filling(narrowed)
         found = _strength(narrowed, path, duration, begin)
@@ -445,16 +458,16 @@ def filling_curve(
         pressure, _, flow, _ = map(np.asarray, _states(replace(narrowed, {path: strength}), course))
         return end, (diameter, strength, flow[0], pressure[:, 0].max())
 
-    # From the widest, which needs what ports of no resistance need; then every other one beside
-    # the rest, each from where the one before it ended.
+    # Start with the widest ports, which need about the supply of ports without resistance. Then
+    # compute the others in two parallel chains, each started from its previous result.
     widest, *others = sorted(diameters, reverse=True)
-    # What a meter feeds takes a time that is inverse to it.
+    # With a metered supply the duration is inversely proportional to the flow.
     first, pair = one(widest, _Slope(math.log(float(get(made, path))), -1.0))
 
     def chain(tell: Tell, own: Sequence[float]) -> list[tuple[float, ...]]:
         begin, found = first, []
         for diameter in own:
-            tell(lambda: None)  # after Ctrl-C no further one begins
+            tell(lambda: None)  # After Ctrl-C no further computation begins.
             begin, pair = one(diameter, begin)
             found.append(pair)
         tell(lambda: None)
@@ -462,7 +475,7 @@ def filling_curve(
 
     jobs = [functools.partial(chain, own=others[k::2]) for k in (0, 1)]
     chains = run_in_threads(jobs, min(2, cores()), until=lambda _: False)
-    if None in chains:  # It did not begin.
+    if None in chains:  # A chain did not begin.
         raise KeyboardInterrupt
     columns = sorted([pair, *(each for found in chains for each in found or ())])
     pairs = np.asarray(columns).T
@@ -470,7 +483,7 @@ def filling_curve(
 
 
 class _Slope(NamedTuple):
-    """Logarithm of a strength, and how that of the duration changes with it."""
+    """Logarithm of a strength, and derivative of the logarithmic duration with respect to it."""
 
     at: float
     slope: float
@@ -479,11 +492,10 @@ class _Slope(NamedTuple):
 def _strength(
     filling: Filling, path: str, duration: float, begin: _Slope
 ) -> tuple[_Slope, _Course] | None:
-    """The strength of the supply with which filling takes this long, and the filling itself.
+    """Return the strength of the supply for which filling takes this long, and the filling.
 
-    None where no strength suffices.
-
-    By the secant in logarithms, kept between what is too little and what is too much.
+    The result is None if no strength suffices. The root is found by the secant method in
+    logarithms, within a bracket of too small and too large strengths.
     """
     low, high = -math.inf, math.inf
     (here, slope), before = begin, None
@@ -513,7 +525,7 @@ _MINUTE, _LITRE_PER_MINUTE = 60.0, 1e-3 / 60
 
 
 def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str, bytes]:
-    """Numbers and pictures of a filling, by the names of `FILLING_FILES` and `CURVE_FILES`."""
+    """Return the files of a filling, by the names of `FILLING_FILES` and `CURVE_FILES`."""
     files = {
         "filling.json": f"{filling_json(filled, curve)}\n".encode(),
         "filling.csv": to_csv(_columns(filled)),
@@ -532,7 +544,7 @@ def filling_files(filled: Filled, curve: FillingCurve | None = None) -> dict[str
 
 
 def inflation_toml(filled: Filled) -> str:
-    """The filled arm as a definition: pressure and fullness of each link, and all else of it."""
+    """Return the complete definition of the filled arm, with pressure and fullness of each link."""
     arm = replace(filled.filling.arm, filled.inflation)
     begins, stated = preset_of(arm), arm_to_definition(arm)
     parameters = {**begins.get("parameters", {}), **stated.get("parameters", {})}
@@ -558,7 +570,7 @@ def _columns(filled: Filled) -> dict[str, Any]:
 
 
 def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
-    """A filling as JSON text, without what it was like on the way; what never came is null."""
+    """Return final values of a filling as JSON text; events that did not occur are null."""
     made = filled.filling
     facts: dict[str, Any] = {
         "finished": filled.finished,
@@ -595,12 +607,12 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
 
 
 def filling_figure(filled: Filled) -> Figure:
-    """Fullness, pressure, lift and stiffness over time."""
+    """Plot fullness, pressure, lift and stiffness versus time."""
     end = f"full after {filled.duration / _MINUTE:.1f} min" if filled.finished else "never full"
     figure = new_figure(9.0, 6.0, f"Filling {filled.filling.arm.count} links: {end}")
     minutes = filled.times / _MINUTE
     panels = {
-        "Fullness of each link": (filled.fullness, "share of the full volume"),
+        "Fullness of each link": (filled.fullness, "fraction of the full volume"),
         "Pressure in each link": (filled.pressure, "gauge pressure (Pa)"),
         "Net lift of each link": (filled.net_lift * 1e3, "g"),
         "Bending stiffness of each link (assumed)": (filled.stiffness, "N m$^2$"),
@@ -625,7 +637,7 @@ def filling_figure(filled: Filled) -> Figure:
 
 
 def _curves(axes: Axes, minutes: Any, table: Any) -> None:
-    """A line for each link, from the base's colour to the tip's."""
+    """Plot a line for each link, coloured from base to tip."""
     last = table.shape[1] - 1
     named = {0: "link 1 (base)", last: f"link {last + 1} (tip)"} if last else {0: "link 1"}
     for index, row in enumerate(table.T):
@@ -634,14 +646,14 @@ def _curves(axes: Axes, minutes: Any, table: Any) -> None:
 
 
 def curve_figure(curve: FillingCurve) -> Figure:
-    """Port against supply, and the pressure that it costs."""
+    """Plot port diameter versus supply, and the required pressure."""
     title = f"Port diameters and supplies for filling within {curve.duration / _MINUTE:g} min"
     figure = new_figure(8.0, 3.4, title)
     diameters = curve.diameters * 1e3
     axes = figure.add_subplot(1, 2, 1)
     axes.plot(curve.flows / _LITRE_PER_MINUTE, diameters, "o-", color=BLUE, ms=4)
     port = "diameter of the ports (mm)"
-    plain(axes, "Port diameter against supply", "initial flow of the supply (l/min)", port)
+    plain(axes, "Port diameter versus supply", "initial flow of the supply (l/min)", port)
     axes.set_ylim(bottom=0)
     axes = figure.add_subplot(1, 2, 2)
     axes.semilogy(diameters, curve.pressures, "o-", color=VERMILLION, ms=4)

@@ -1,4 +1,4 @@
-"""One joint at rest in pictures and numbers, figs 9 and 10 of the paper among them."""
+"""Figures and tables of one joint at rest, including figs 9 and 10 of the paper."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ from ..report import (
 
 
 def shade_branches(panel: Axes, joint: Joint) -> None:
-    """The window about 0 in which the muscle runs straight."""
+    """Shade the range of angles about 0 in which the muscle is straight."""
     taut, wrapped = np.rad2deg(branch_angles(joint.geometry))
     end = np.rad2deg(LARGEST_ANGLE)
     lower, upper = np.nan_to_num(wrapped, nan=-end), np.nan_to_num(taut, nan=end)
@@ -52,7 +52,7 @@ def shade_branches(panel: Axes, joint: Joint) -> None:
 
 
 def angle_axis(panel: Axes, name: str) -> None:
-    """From the one end of the joint to the other."""
+    """Set the horizontal axis to the range of the joint angle."""
     end = np.rad2deg(LARGEST_ANGLE)
     panel.set_xlim(-end, end)
     panel.set_xticks(np.arange(-end, end + 1, 20))
@@ -62,7 +62,7 @@ def angle_axis(panel: Axes, name: str) -> None:
 def _of_both(
     step_deg: float, columns: Callable[[str, np.ndarray], dict[str, Any]]
 ) -> dict[str, np.ndarray]:
-    """Columns of the outer and of the inner muscle, over all angles (deg); 0 is there twice."""
+    """Return columns of the outer and of the inner muscle for all angles (deg); 0 occurs twice."""
     end = np.rad2deg(LARGEST_ANGLE)
     sizes = np.linspace(0, end, round(end / step_deg) + 1)
     outer, inner = columns("outer", -sizes[::-1]), columns("inner", sizes)
@@ -70,10 +70,10 @@ def _of_both(
 
 
 def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict[str, np.ndarray]:
-    """Everything about one muscle against its bending angle: the numbers of figs 9 and 10.
+    """Return all quantities of one muscle by its bending angle, as in figs 9 and 10.
 
-    With the joint's corrections (fig. 10), or with none (fig. 9). Columns are in the units that
-    their names say. The angle 0 is there twice, as the outer and as the inner muscle.
+    The corrections of the joint are included (fig. 10) or left out (fig. 9). The names of the
+    columns end in their units. The angle 0 occurs twice, for the outer and for the inner muscle.
     """
     if not corrected:
         joint = Joint(joint.geometry, Correction(reading="none"), joint.torque)
@@ -100,10 +100,10 @@ _SMALL: Any = {"fontsize": 8, "frameon": False}
 
 
 def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
-    """Contraction and force of one muscle against its bending angle: figs 9 and 10 of the paper.
+    """Plot contraction and force of one muscle versus its bending angle, as in figs 9 and 10.
 
-    With the joint's corrections (fig. 10), or with none (fig. 9). The grey band is where the muscle
-    runs straight.
+    The corrections of the joint are included (fig. 10) or left out (fig. 9). The muscle is straight
+    in the grey band.
     """
     table = angle_table(joint, corrected=corrected)
     what = "with the corrections alpha and beta" if corrected else "without corrections"
@@ -128,10 +128,10 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
 def correction_table(
     joint: Joint, *, reading: str, step_deg: float = 0.05
 ) -> dict[str, np.ndarray]:
-    """Alpha and beta of a joint against the bending angle of a muscle.
+    """Return alpha and beta of a joint by the bending angle of a muscle.
 
-    The reading is of beta, "continuous" or "printed". Columns are in the units that their names
-    say. The angle 0 is there twice.
+    `reading` selects the formula of beta, "continuous" or "printed". The names of the columns end
+    in their units. The angle 0 occurs twice.
     """
     correction = dataclasses.replace(joint.correction, reading=reading)
     form = dataclasses.replace(joint, correction=correction)
@@ -149,7 +149,7 @@ def correction_table(
 
 
 def correction_figure(joint: Joint) -> Figure:
-    """Alpha and beta of a joint in both readings of the paper: the erratum."""
+    """Plot alpha and beta of a joint in both readings of the paper, to show the erratum."""
     figure = new_figure(8, 3.6, "Corrections: computed with |angle|, and as printed in the paper")
     panel = figure.subplots()
     end, least = np.rad2deg(LARGEST_ANGLE), -float(joint.torque)
@@ -179,26 +179,41 @@ _DRAWN = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 _COLOURS = {"balloon": GREY, "muscle": BLUE, "wire": GREEN}
 _WIDTHS = {"muscle": 2.0, "wire": 1.4}
 
-# Letters at the left and below their points, so that none lies on another.
+# Letters that are drawn to the left of and below their points, so that they do not overlap.
 _LEFT, _BELOW = frozenset("AMBP"), frozenset("EBD")
+
+_LETTERS = (
+    "E is the centre of the joint. B and D are the ends of the wire. Inner muscle: A and C are its "
+    "ends, and H is the bush that the wire holds.\nOuter muscle: M and N are its ends, O is its "
+    "middle, and P and Q are the points where it touches the balloons."
+)
 
 
 def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
-    """The joint at some bending angles (deg): links, muscle, wire and contact points, to scale.
+    """Draw the joint at some bending angles (deg), to scale: links, muscle, wire and contacts.
 
-    One muscle is drawn, on +y: the inner one at positive angles, the outer one at negative ones.
+    Only the muscle on the positive y side is drawn. It is the inner muscle at positive angles, and
+    the outer one at negative angles.
     """
     columns = 2 if len(degrees) > 1 else 1
     rows = -(-len(degrees) // columns)
-    figure = new_figure(11, 2.35 * rows + 0.5, "One muscle (blue) and its wire at rest, to scale")
-    grid = figure.subplots(rows, columns, squeeze=False)
+    figure = new_figure(11, 2.35 * rows + 1.0, "One muscle (blue) and its wire at rest, to scale")
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     scene = joint_scene(joint.geometry, np.deg2rad(degrees))
-    # Down the columns, so that one shows the inner and one the outer muscle.
+    # Fill column by column, so that one column shows the inner and one the outer muscle.
     for index, panel in enumerate(grid.T.flat):
         if index < len(degrees):
             _draw_joint(panel, joint, scene, index, degrees[index])
         else:
             panel.set_visible(False)
+    heights = np.sin(np.deg2rad(degrees) / 2)
+    grid[0, 0].set_xlim(-1.02, 1.02)
+    grid[0, 0].set_ylim(min(-0.22, heights.min() - 0.18), max(0.34, heights.max() + 0.3))
+    for panel in grid[:, 0]:
+        panel.set_ylabel("y (m)")
+    for panel in grid[-1]:
+        panel.set_xlabel("x (m)")
+    figure.supxlabel(_LETTERS, fontsize=8, color=INK)
     handles = [
         Line2D([], [], color=BLUE, linewidth=2, label="muscle"),
         Line2D([], [], color=GREEN, linewidth=1.4, label="wire, taut"),
@@ -210,10 +225,10 @@ def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
 
 
 def joint_points(joint: Joint, angle: float) -> dict[str, np.ndarray]:
-    """Where the lettered points of figs 7 and 8 are at a bending angle of the muscle (rad), m.
+    """Return the lettered points of figs 7 and 8 at a bending angle of the muscle (rad), m.
 
-    In the frame of the bisector, each of shape (2,): A, B, C, D, E and H of an inner muscle; M, P,
-    O, Q, N, B, D and E of an outer one.
+    The points are in the frame of the bisector, each of shape (2,): A, B, C, D, E and H of an inner
+    muscle, or M, P, O, Q, N, B, D and E of an outer muscle.
     """
     markers = joint_scene(joint.geometry, [angle]).markers
     points = {name: at[0, :2] for name, at in markers.items()}
@@ -238,9 +253,6 @@ def _draw_joint(panel: Axes, joint: Joint, scene: Scene, sample: int, degrees: f
     shown = f"{degrees:g}".replace("-", MINUS)
     facts = f"{BRANCHES[int(state.branch)]}; contraction {float(state.contraction):.3f}, {force} N"
     plain(panel, f"{shown}{DEGREE}: {facts}")
-    panel.set_xlim(-1.02, 1.02)
-    height = float(np.sin(angle / 2))
-    panel.set_ylim(min(-0.22, height - 0.18), max(0.34, height + 0.3))
 
 
 _EQUILIBRIA = (
@@ -253,10 +265,10 @@ _EQUILIBRIA = (
 def equilibria_table(
     pair: JointPair, degrees: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Equilibria]]:
-    """Pressures of the controller for some angles (deg), and all equilibria of each pair of them.
+    """Return the controller's pressures for some angles (deg), and all equilibria under them.
 
-    Columns have one row an equilibrium, in the units that their names say; beside them are the
-    equilibria of each target angle. Angles whose pressures crush the neck have none.
+    The table has one row per equilibrium; its column names end in their units. The second result is
+    the equilibria of each target angle. Angles whose pressures crush the neck are left out.
     """
     command = pair_command(pair, np.deg2rad(degrees))
     pressures = np.asarray(command.pressures)
@@ -280,9 +292,9 @@ def equilibria_table(
 
 
 def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
-    """Where a pair rests: every equilibrium against the target angle, and the torque of one.
+    """Plot every equilibrium of a pair versus the target angle, and the torque for one target.
 
-    The table is of `equilibria_table`; the example is a target angle, whose pressures are drawn.
+    The table comes from `equilibria_table`. The example is the target angle whose torque is drawn.
     """
     figure = new_figure(
         11, 4.2, "Equilibria of a joint: the same two pressures allow several angles"
@@ -296,7 +308,7 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         rows = stable == held
         left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
     plain(left, f"equilibrium angles for these two pressures ({DEGREE})")
-    # Of the angles beyond, the pressures crush the neck.
+    # At larger target angles the pressures crush the neck.
     most = float(np.max(np.abs(target), initial=0.0))
     beyond = f" (the neck is crushed beyond {most:g}{DEGREE})" if most < end - 1 else ""
     angle_axis(left, f"target angle{beyond}")
@@ -330,14 +342,15 @@ JOINT_FILES = (
 
 
 def joint_files(pair: JointPair, degrees: Sequence[float], target: float) -> dict[str, bytes]:
-    """Pictures (PNG) and numbers (CSV) of a joint, by the names of `JOINT_FILES`.
+    """Return figures (PNG) and tables (CSV) of a joint, by the names of `JOINT_FILES`.
 
-    It is drawn at some angles, deg. The target is the angle whose two pressures are drawn, deg.
+    The joint is drawn at the angles `degrees`. `target` is the target angle whose pressures are
+    used for the torque curve, deg.
     """
     joint = pair.joint
     readings = [correction_table(joint, reading=name) for name in ("continuous", "printed")]
     corrections = {name: np.concatenate([each[name] for each in readings]) for name in readings[0]}
-    # A joint bends from -60 to 60 deg: in whole degrees.
+    # A joint bends from -60 to 60 deg: use steps of 1 deg.
     end = round(float(np.rad2deg(LARGEST_ANGLE)))
     holding, _ = equilibria_table(pair, np.linspace(-end, end, 2 * end + 1))
     points = [

@@ -1,7 +1,7 @@
-"""Arms for MuJoCo, and from it: serial chains of hinges, as MJCF or URDF, and their air.
+"""Conversion of arms from and to MuJoCo: serial chains of hinges as MJCF or URDF, with air forces.
 
-`read_mjcf` makes an arm of a file, `export_mjcf` files of an arm: its chain, and as a Python file
-what MuJoCo does not have. Both say what is lost. MuJoCo's own `MjSpec` reads.
+`read_mjcf` creates an arm from a file. `export_mjcf` converts an arm to MJCF, and the effects that
+MuJoCo does not have to a Python file. Both report what is lost. MuJoCo's `MjSpec` reads the files.
 """
 
 import json
@@ -27,19 +27,19 @@ Array = np.ndarray
 AIR = "air.py"
 """Name of the Python file beside an exported arm, a copy of `_mujoco_air.py` in this folder."""
 
-_ON_LINE = 1e-9  # of the length of the arm: how far a joint may lie off the line of the others
+_ON_LINE = 1e-9  # Tolerated offset of a joint from the line of the others, over the arm's length.
 
 
 class ReadArm(NamedTuple):
     """An arm that a file describes.
 
     Attributes:
-        arm: with the air of `giajax.chain`; its angles are those of the file less `ref`.
-        names: of the joints in the file, from the base on.
-        rest: angles at which the springs of the file are without torque, shape (joint,), rad:
-            the command of a motion that is to be that of the file.
-        stated: paths of parameters of the joints that the file states.
-        lost: sentences on what of the file the arm does not have.
+        arm: the arm, with the air of `giajax.chain`; its angles are those of the file minus `ref`.
+        names: names of the joints in the file, from the base on.
+        rest: angles at which the springs of the file have no torque, shape (joint,), rad. With
+            these as commands the arm moves as in the file.
+        stated: paths of the joint parameters that the file specifies.
+        lost: sentences on features of the file that the arm does not have.
     """
 
     arm: Arm
@@ -57,17 +57,20 @@ def read_mjcf(
 ) -> ReadArm:
     """Read an arm from MJCF or URDF: a chain of hinges that is straight at angles of zero.
 
-    Masses, inertias, axes, dampers, armatures and springs are the file's. Bodies without a joint
-    belong to the link that they are fixed to. A link that is not round about its own axis is its
-    mass in six points, of the same inertia.
+    Masses, inertias, axes, dampers, armatures and springs are taken from the file. A body without a
+    joint belongs to the link to which it is fixed. The mass of a link that is not symmetric about
+    its axis is represented by six points with the same inertia.
 
     Arguments:
-        diameter: of all links, as the air sees them, m; by default as thick as their geoms.
-        parameters: values by path, SI, as of `giajax.chain`, on top of those of the file.
+        path: MJCF or URDF file.
+        diameter: diameter of all links for the air forces, m. The default is the thickness of their
+            geoms.
+        parameters: values by path, SI, as in `giajax.chain`; they override those of the file.
 
     Raises:
-        InputError: MuJoCo is not installed or cannot read the file; a tree; a joint that is not
-            a hinge or lies off the line of the others; a link that nothing says the size of.
+        InputError: MuJoCo is not installed or cannot read the file; the file describes a tree; a
+            joint is not a hinge or lies off the line of the others; the size of a link is not
+            given.
     """
     mujoco = _mujoco()
     read_text(Path(path), RESULT_BYTES, "XML", "an MJCF or URDF file")
@@ -110,7 +113,7 @@ def read_mjcf(
     if diameter is None and not all(thick):
         joint = thick.index(0.0)
         raise InputError(
-            f"{path}: no geom states the diameter of the link of the joint '{names[joint]}': "
+            f"{path}: no geom gives the diameter of the link of the joint '{names[joint]}': "
             "give the diameter of the links"
         )
     mass, centre, inertia = (np.array(each) for each in zip(*parts, strict=True))
@@ -159,7 +162,7 @@ def _mujoco() -> Any:
 
 
 def _chain_of(model: "mujoco.MjModel", path: str | Path) -> list[int]:
-    """The bodies with the joints of a chain, from the base on."""
+    """Return the bodies with the joints of a chain, from the base on."""
     import mujoco
 
     if not model.njnt:
@@ -182,39 +185,43 @@ def _chain_of(model: "mujoco.MjModel", path: str | Path) -> list[int]:
                 model.body(other).name for other in links if _held(model, other) == held
             )
             raise InputError(
-                f"{path} is a tree, but an arm is a chain: keep only one of the bodies {others}"
+                f"{path} describes a tree, but an arm is a chain: keep only one of the bodies "
+                f"{others}"
             )
         before = body
     return links
 
 
 def _held(model: "mujoco.MjModel", body: int) -> int:
-    """The moving body, or the world (0), to which the joint of a body holds it."""
+    """Return the moving body, or the world (0), to which the joint of a body holds it."""
     return int(model.body_weldid[model.body_parentid[body]])
 
 
 def _lost(model: "mujoco.MjModel") -> Iterator[str]:
-    """What a file has and an arm does not, joints apart."""
+    """Yield sentences on features of a file that an arm does not have, except those of joints."""
     counts = {"actuators": model.nu, "tendons": model.ntendon, "equalities": model.neq}
     yield from (f"the {name} of the file are omitted" for name, count in counts.items() if count)
     if model.opt.density or model.opt.viscosity:
-        yield "the medium of MuJoCo is omitted: giajax computes the air forces"
+        yield "the MuJoCo medium is omitted: giajax computes the air forces"
     if np.any(model.body_gravcomp):
         yield "gravcomp of bodies is omitted"
-    # Of version 4 on.
+    # MuJoCo has these fields from version 4 on.
     for name in ("jnt_stiffnesspoly", "dof_dampingpoly"):
         if np.any(getattr(model, name, 0.0)):
             yield "only the linear parts of the stiffness and damping polynomials are kept"
     if np.any((model.geom_contype != 0) | (model.geom_conaffinity != 0)):
-        yield "contacts of geoms are omitted: state obstacles in [arm]"
+        yield "contacts of geoms are omitted: define obstacles in [arm]"
 
 
 def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, Any]:
-    """Parameters of the joints by path; `lost` grows by what they cannot say."""
+    """Return the parameters of the joints by path.
+
+    Sentences on features that these cannot represent are appended to `lost`.
+    """
     dampers = not (_disabled(model, "DAMPER") or _disabled(model, "PASSIVE"))
     springs = not (_disabled(model, "SPRING") or _disabled(model, "PASSIVE"))
     found: dict[str, Any] = {"joints.damping": np.array(model.dof_damping) * dampers}
-    yaw = np.abs(axes[:, 2]) > np.sqrt(0.5)  # as `Joints.is_yaw`
+    yaw = np.abs(axes[:, 2]) > np.sqrt(0.5)  # Same criterion as `Joints.is_yaw`.
     for name, which in (("pitch", ~yaw), ("yaw", yaw)):
         several = sorted(set((model.jnt_stiffness[which] * springs).tolist())) or [0.0]
         found[f"joints.{name}_stiffness"] = several[0] if len(several) == 1 else 0.0
@@ -230,7 +237,9 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
         )
         found["joints.laws.end_stops.lower"] = np.clip(limits[:, 0], -np.pi, 0)
         found["joints.laws.end_stops.upper"] = np.clip(limits[:, 1], 0, np.pi)
-        lost.append("joint limits become end stops with giajax's stiffness (joints.laws.end_stops)")
+        lost.append(
+            "joint limits become end stops with a default stiffness (joints.laws.end_stops)"
+        )
         if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
             lost.append("the range of a joint that does not contain 0 is extended to 0")
         if np.any(np.abs(limits) > np.pi) or not np.all(model.jnt_limited):
@@ -245,7 +254,7 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
 
 
 def _disabled(model: "mujoco.MjModel", what: str) -> bool:
-    """Whether a flag of the file switches something off, where this version knows the flag."""
+    """Return whether a flag of the file disables something; unknown flags do not."""
     import mujoco
 
     flag = getattr(mujoco.mjtDisableBit, f"mjDSBL_{what}", None)
@@ -253,7 +262,7 @@ def _disabled(model: "mujoco.MjModel", what: str) -> bool:
 
 
 class _Part(NamedTuple):
-    """A link in its own frame: mass (kg), centre (m), inertia about that (kg m^2)."""
+    """A link in its own frame: mass (kg), centre of mass (m), inertia about it (kg m^2)."""
 
     mass: float
     centre: Array
@@ -263,7 +272,7 @@ class _Part(NamedTuple):
 def _body(
     model: "mujoco.MjModel", data: "mujoco.MjData", link: int, anchor: Array, frame: Array
 ) -> _Part:
-    """A body and those that are fixed to it."""
+    """Return a body together with the bodies that are fixed to it."""
     fixed = np.flatnonzero(model.body_weldid == link)
     mass = model.body_mass[fixed]
     places = (data.xipos[fixed] - anchor) @ frame
@@ -277,7 +286,7 @@ def _body(
 
 
 def _corners(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array:
-    """Corners of the boxes around the geoms of a link, and its sites, shape (point, 3), m."""
+    """Return the corners of the boxes around the geoms of a link, shape (point, 3), m."""
     fixed = np.flatnonzero(model.body_weldid == link)
     signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
     points = [np.zeros((0, 3))]
@@ -290,7 +299,10 @@ def _corners(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array
 
 
 def _last_point(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Array:
-    """Where the last link ends: at its farthest site or geom along the line to its centre."""
+    """Return the end of the last link.
+
+    It is the farthest site or geom of the link along the line towards its centre.
+    """
     anchor = data.xanchor[-1]
     fixed = np.flatnonzero(model.body_weldid == link)
     towards = anchor - data.xanchor[0]
@@ -306,20 +318,20 @@ def _last_point(model: "mujoco.MjModel", data: "mujoco.MjData", link: int) -> Ar
 
 
 def _thickness(model: "mujoco.MjModel", data: "mujoco.MjData", link: int, frame: Array) -> float:
-    """Largest width of the geoms of a link across it, m; 0 without geoms."""
+    """Return the largest width of the geoms of a link across its axis, m; 0 without geoms."""
     corners = _corners(model, data, link) @ frame[:, 1:]
     return float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
 
 
 def _upright(up: Array) -> Array:
-    """Rotation of the world after which `up` is +z; none where there is no gravity."""
+    """Return the rotation of the world that turns `up` to +z; none without gravity."""
     if not np.any(up) or not np.any(up[:2]):
         return np.eye(3) if up[2] >= 0 else np.diag([1.0, -1.0, -1.0])
     return np.asarray(Rotation.align_vectors([[0, 0, 1]], [up])[0].as_matrix())
 
 
 def _frame(along: Array, up: Array) -> Array:
-    """Axes of a straight arm (columns): along it, to its left, and above it."""
+    """Return the axes of a straight arm as columns: along it, to its left, and above it."""
     above = up - (up @ along) * along
     if np.linalg.norm(above) < 1e-6:
         above = np.eye(3)[np.argmin(np.abs(along))]
@@ -333,7 +345,7 @@ class ExportedArm(NamedTuple):
 
     Attributes:
         files: text by name: `arm.xml`, `air.py` and `air.json`.
-        lost: sentences on what of the arm they do not have.
+        lost: sentences on features of the arm that the files do not have.
     """
 
     files: dict[str, str]
@@ -341,18 +353,19 @@ class ExportedArm(NamedTuple):
 
 
 def export_mjcf(arm: Arm) -> ExportedArm:
-    """An arm as MJCF, and what MuJoCo does not have as passive forces in a Python file.
+    """Convert an arm to MJCF, and effects that MuJoCo does not have to passive forces in Python.
 
-    The bodies are `link1` and so on, each with its helium, trim weight and point masses, the joints
-    `joint1`, the end is the site `tip`. Springs pull towards 0: what moves them is the command of
-    `air.forces`, which also has drag, lift and friction (the text of `air.py` shows its use).
+    The bodies are `link1` and so on, each with its helium, trim weight and point masses. The joints
+    are `joint1` and so on, and the end is the site `tip`. Springs pull towards 0. The command of
+    `air.forces` moves them. `air.forces` also has drag, lift and friction (the text of `air.py`
+    shows its use).
 
     Raises:
         InputError: MuJoCo is not installed.
     """
     mujoco = _mujoco()
     root = Element("mujoco", model="arm")
-    # MuJoCo would write 6 digits.
+    # The XML is written here because MuJoCo would write only 6 digits.
     _add(root, "compiler", angle="radian", autolimits="true")
     _add(root, "option", gravity=[0.0, 0.0, -float(arm.gravity)], integrator="RK4")
     _add(root[-1], "flag", contact="disable")
@@ -425,7 +438,7 @@ def export_mjcf(arm: Arm) -> ExportedArm:
 
 
 def _add(parent: Element, tag: str, **attributes: Any) -> Element:
-    """An element within another one; lists are numbers with all of their digits."""
+    """Add an element to another one; lists of numbers are written at full precision."""
     texts = {k: v if isinstance(v, str) else _numbers(v) for k, v in attributes.items()}
     return SubElement(parent, tag, texts)
 
@@ -440,7 +453,7 @@ def _not_exported(arm: Arm) -> Iterator[str]:
         "added mass": arm.air.added_mass_coefficient is not None,
         "the dependence of drag on the Reynolds number": arm.air.drag_curve != "constant",
         "the drag law": arm.air.law is not None,
-        "the wind field (over position and time)": arm.air.wind_field is not None,
+        "the wind field (a function of position and time)": arm.air.wind_field is not None,
         "joint laws other than springs, dampers and friction": bool(arm.joints.further_laws.laws),
         "the gain of the drives": arm.joints.drive_gain is not None,
         "the lag of the drives": arm.joints.drive_lag is not None,
@@ -455,5 +468,5 @@ def _not_exported(arm: Arm) -> Iterator[str]:
 
 
 def _each(values: Any, count: int) -> Array:
-    """One number for each joint; zeros for what the arm leaves out."""
+    """Return one value per joint; zeros for properties that the arm does not have."""
     return np.broadcast_to(0.0 if values is None else np.asarray(values), (count,))

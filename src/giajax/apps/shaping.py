@@ -1,18 +1,18 @@
-"""Input shaping: commands after which an arm does not swing.
+"""Input shaping: commands that reduce the residual swing of an arm.
 
-A command is convolved with a few impulses, so that each of them cancels what the ones before have
-set swinging. The impulses follow from period and damping of a mode at the pose where the command
-ends. The air damps a long and light arm, and it does so by the square of the velocity: the damping
-that counts is that of a swing as large as the command excites, by harmonic balance. As a swing and
-its damping change while the arm moves, period and damping of the mode that is excited most are then
-searched for near these numbers, with simulations of the arm.
+A command is convolved with a few impulses, so that each of them cancels the swing that the previous
+ones have excited. The impulses follow from period and damping of a mode at the final pose of the
+command. The air damps a long and light arm with the square of the velocity. The relevant damping is
+therefore that of a swing as large as the command excites, from harmonic balance. Swing and damping
+change while the arm moves. Period and damping of the mode that is excited most are therefore tuned
+near these values, with simulations of the arm.
 
 - ZV, ZVD: Singer and Seering, Preshaping command inputs to reduce system vibration, J. Dyn. Syst.
-  Meas. Control 112 (1990) 76. No swing is left where period and damping are right; ZVD leaves less
-  where they are not.
+  Meas. Control 112 (1990) 76. The residual swing is zero if period and damping are correct. ZVD has
+  a smaller residual swing if they are wrong.
 - EI: Singhose, Seering and Singer, Residual vibration reduction using vector diagrams to generate
-  shaped inputs, J. Mech. Design 116 (1994) 654. A small swing is accepted where they are right, for
-  less where they are not.
+  shaped inputs, J. Mech. Design 116 (1994) 654. A small residual swing is accepted if they are
+  correct, in exchange for a smaller one if they are wrong.
 """
 
 import dataclasses
@@ -53,25 +53,25 @@ from ._moves import (
 
 
 class Impulses(NamedTuple):
-    """What a command is convolved with.
+    """Impulses with which a command is convolved.
 
     Attributes:
-        times: of the impulses, s, increasing from 0, shape (impulse,).
-        sizes: of each, which add up to 1, shape (impulse,).
+        times: times of the impulses, s, increasing from 0, shape (impulse,).
+        sizes: sizes of the impulses, which add up to 1, shape (impulse,).
     """
 
     times: Float[np.ndarray, " impulse"]
     sizes: Float[np.ndarray, " impulse"]
 
     def after(self, other: "Impulses") -> "Impulses":
-        """Both, one after the other."""
+        """Return the convolution of both."""
         times = (self.times[:, None] + other.times).ravel()
         together, place = np.unique(times.round(DIGITS), return_inverse=True)
         sizes = (self.sizes[:, None] * other.sizes).ravel()
         return Impulses(together, np.bincount(place.ravel(), sizes))
 
     def left(self, period: float, damping: float) -> float:
-        """Swing that is left of a mode, as a share of that which one impulse leaves."""
+        """Return the residual swing of a mode, relative to the swing after a single impulse."""
         rate = _eigenvalue(period, damping)
         return float(abs(np.sum(self.sizes * np.exp(rate * (self.times[-1] - self.times)))))
 
@@ -80,17 +80,17 @@ NONE = Impulses(np.zeros(1), np.ones(1))
 
 
 def _eigenvalue(period: float, damping: float) -> complex:
-    """Of a mode, 1/s; `period` is that without damping, s."""
+    """Return the eigenvalue of a mode, 1/s; `period` is the undamped period, s."""
     frequency = 2 * np.pi / period
     return complex(-damping * frequency, frequency * np.sqrt(1 - damping**2))
 
 
 def zero_vibration(period: float, damping: float) -> Impulses:
-    """ZV: two impulses, half a swing apart.
+    """Return the ZV shaper: two impulses, half a period apart.
 
     Arguments:
-        period: of the mode without damping, s.
-        damping: over critical damping, below 1.
+        period: undamped period of the mode, s.
+        damping: damping ratio, below 1.
 
     Example:
         >>> from giajax.apps.shaping import zero_vibration
@@ -105,25 +105,30 @@ def zero_vibration(period: float, damping: float) -> Impulses:
 
 
 def zero_vibration_and_derivative(period: float, damping: float) -> Impulses:
-    """ZVD: the swing that is left and its derivative by the period are 0; as `zero_vibration`."""
+    """Return the ZVD shaper, with the same arguments as `zero_vibration`.
+
+    The residual swing and its derivative with respect to the period are 0.
+    """
     once = zero_vibration(period, damping)
     return once.after(once)
 
 
 INSENSITIVITY = 0.05
-"""Residual swing of the EI shaper at the correct period and damping, as a share of the unshaped
+"""Residual swing of the EI shaper at the correct period and damping, as a fraction of the unshaped
 swing.
 """
 
-_MOST_DAMPED = 0.8  # beyond, the later impulses are next to nothing
-_MOST_DAMPED_EI = 0.55  # beyond, no three impulses do it
+_MOST_DAMPED = 0.8  # The later impulses are negligible above this damping ratio.
+_MOST_DAMPED_EI = 0.55  # No EI shaper of three impulses exists above this damping ratio.
 
 
 def extra_insensitive(period: float, damping: float) -> Impulses:
-    """EI: as `zero_vibration`, with 5 % of the swing left there, and none to both sides of it.
+    """Return the EI shaper, with the same arguments as `zero_vibration`.
+
+    Its residual swing is 5 % at the given period, and zero at a shorter and a longer one.
 
     Raises:
-        InputError: a damping above 0.55, where no such impulses exist.
+        InputError: a damping ratio above 0.55, for which no such impulses exist.
     """
     if not damping <= _MOST_DAMPED_EI:
         raise InputError(
@@ -136,7 +141,7 @@ def extra_insensitive(period: float, damping: float) -> Impulses:
 
 @functools.lru_cache(maxsize=256)
 def _extra_insensitive(damping: float) -> Impulses:
-    """The impulses of a mode whose period is 1, followed from those without damping."""
+    """Return the impulses for a period of 1, by continuation from the undamped solution."""
     kept = INSENSITIVITY
     width = np.arccos((1 - kept) / (1 + kept)) / np.pi
     found = np.array([(1 + kept) / 4, (1 + kept) / 4, 0.5, 1 - width, 1 + width])
@@ -149,7 +154,7 @@ def _extra_insensitive(damping: float) -> Impulses:
             return Impulses(np.array([0, middle, 1]) * whole, sizes)
 
         def off(numbers: np.ndarray, each: float = each) -> list[float]:
-            """What must be 0: the swing of a slower and of a faster mode, and the one accepted."""
+            """Return the residuals: swings of a slower and a faster mode, and the accepted one."""
             shape = impulses(numbers)
             swings = []
             for faster in numbers[3:]:
@@ -168,12 +173,12 @@ def _extra_insensitive(damping: float) -> Impulses:
 
 
 class Shaper(NamedTuple):
-    """A way to find impulses.
+    """A method that determines impulses.
 
     Attributes:
-        impulses: of a period (s) and a damping.
-        robust: whether it is made to leave little where these are not right.
-        most_damped: the largest damping.
+        impulses: function of a period (s) and a damping ratio.
+        robust: whether the residual swing is designed to be small if these are wrong.
+        most_damped: largest valid damping ratio.
     """
 
     impulses: Callable[[float, float], Impulses]
@@ -181,7 +186,7 @@ class Shaper(NamedTuple):
     most_damped: float
 
     def allowed(self, damping: float) -> float:
-        """The nearest damping for which it has impulses."""
+        """Return the nearest valid damping ratio."""
         return float(np.clip(damping, 0.0, self.most_damped))
 
 
@@ -194,12 +199,12 @@ SHAPERS = {
 
 @dataclasses.dataclass(frozen=True)
 class Mode:
-    """A mode of an arm about the pose where a command ends.
+    """A mode of an arm about the final pose of a command.
 
     Attributes:
-        period: without damping, s.
-        damping: of a swing half as large as the command excites, over critical damping.
-        swing: at the tip after the command as it is, were there no air, m.
+        period: undamped period, s.
+        damping: damping ratio of a swing half as large as the command excites.
+        swing: swing of the tip after the unshaped command without air, m.
     """
 
     period: float
@@ -209,7 +214,7 @@ class Mode:
 
 @program
 def _dissipated(arm: Arm, moved: tuple[Array, Array], command: Array, mass: Array) -> Array:
-    """Power that moving costs an arm at rows of angles and rates, W."""
+    """Return the power that an arm dissipates at rows of angles and rates, W."""
 
     def at(angles: Array, rates: Array) -> Array:
         pulled = acceleration(arm, angles, rates, command)
@@ -222,23 +227,23 @@ _PHASES = (np.arange(64) + 0.5) * 2 * np.pi / 64
 
 
 def modes_after(arm: Arm, command: Command) -> list[Mode]:
-    """The modes of an arm where a command ends, those that it excites most first.
+    """Return the modes of an arm at the end of a command, sorted by decreasing excitation.
 
     Raises:
-        InputError: the arm has no stable rest there.
+        InputError: the arm has no stable rest pose there.
     """
     last = jnp.asarray(command.angles[-1], dtype=jnp.result_type(float))
     about = found_rest(arm, command.angles[-1])
     held = reached(arm, last)
     frequencies, shapes = about.modes()
-    # Of the pose at rest by the command, in each mode.
+    # Static deflection of each mode per unit of the command.
     static = -shapes.T @ about.mass @ np.linalg.solve(about.by_angles, about.by_command)
     reach = np.linalg.norm(about.moves @ shapes, axis=0)
     late = arm.joints.drive_lag
     lag = 0.0 if late is None else float(np.mean(np.asarray(late)))
     found = []
     for frequency, shape, gain, far in zip(frequencies, shapes.T, static, reach, strict=True):
-        # A drive that lags passes on less of what is quick.
+        # A drive with a lag transmits less of the fast part of a command.
         size = _excited(command, gain, frequency) / np.hypot(1, frequency * lag)
         damping = _damping(arm, about, held, frequency, shape, max(size / 2, 1e-3 / far))
         found.append(Mode(float(2 * np.pi / frequency), damping, float(size * far)))
@@ -246,9 +251,10 @@ def modes_after(arm: Arm, command: Command) -> list[Mode]:
 
 
 def _excited(command: Command, gain: np.ndarray, frequency: float) -> float:
-    """Size of a mode, which is not damped, after a command: the largest of near frequencies.
+    """Return the largest amplitude of an undamped mode after a command, over nearby frequencies.
 
-    A command as long as a whole number of swings leaves none of just that mode.
+    A command whose duration is a whole number of periods may leave no swing at exactly one
+    frequency.
     """
     driven = command.angles @ gain
     sizes = []
@@ -265,7 +271,7 @@ def _excited(command: Command, gain: np.ndarray, frequency: float) -> float:
 def _damping(
     arm: Arm, about: Any, command: Array, frequency: float, shape: np.ndarray, size: float
 ) -> float:
-    """Of a mode that swings with a size, over critical: by the energy lost in one swing."""
+    """Return the damping ratio of a mode with some amplitude, from the energy loss per period."""
     angles = about.angles + size * np.sin(_PHASES)[:, None] * shape
     rates = size * frequency * np.cos(_PHASES)[:, None] * shape
     moved = jnp.asarray(angles), jnp.asarray(rates)
@@ -273,12 +279,12 @@ def _damping(
     return float(np.mean(power) / (frequency * (size * frequency) ** 2))
 
 
-_TUNING, _FINAL = 1e-4, 1e-5  # tolerances: of a millimetre, and of a tenth of that
+_TUNING, _FINAL = 1e-4, 1e-5  # Tolerances for accuracies of about 1 mm and 0.1 mm.
 
 
 @program
 def _moved(flights: Flight) -> tuple[Array, Array]:
-    """Distance of the tip from where it comes to rest, m, and whether it was simulated."""
+    """Return the distance of the tip from its rest position, m, and whether it was simulated."""
     return jax.lax.map(_moved_one, flights)
 
 
@@ -289,22 +295,23 @@ def _moved_one(flight: Flight) -> tuple[Array, Array]:
 
 @dataclasses.dataclass(frozen=True)
 class Shaped:
-    """A command as a shaper leaves it, and what it leaves of the swing.
+    """A shaped command and its residual swing.
 
     Attributes:
-        name: of the shaper; "unshaped" of the command as it was.
-        command: angles over time.
-        impulses: what the command was convolved with.
-        longer: by how much it lasts longer, s.
-        tuned: period (s) and damping of the mode excited most, for which it was made; None of none.
-        settled: when the tip has come to stay within 2 % of the travel from its rest, s; None where
-            that is not within three swings after the command.
-        residual: largest distance of the tip from where it comes to rest, after the command, m.
-        soft, stiff: the same with a stiffness a quarter lower and higher, m.
-        drawn: the same for each draw of what the fit leaves open, m; empty without one.
-        times: s, shape (sample,).
-        distance: of the tip from where it comes to rest, m, shape (sample,).
-        distances: with each draw, shape (draw, sample).
+        name: name of the shaper, or "unshaped" for the original command.
+        command: commanded angles versus time.
+        impulses: impulses with which the original command was convolved.
+        longer: increase of the duration, s.
+        tuned: period (s) and damping ratio of the most excited mode for which the shaper was made;
+            None without a shaper.
+        settled: time from which the tip stays within 2 % of the travel from its rest position, s;
+            None if that is not within three periods after the command.
+        residual: largest distance of the tip from its rest position after the command, m.
+        soft, stiff: residual with a stiffness a quarter lower and higher, m.
+        drawn: residual of each draw of the uncertain parameters of the fit, m; empty without a fit.
+        times: sample times, s, shape (sample,).
+        distance: distance of the tip from its rest position, m, shape (sample,).
+        distances: distance for each draw, m, shape (draw, sample).
     """
 
     name: str
@@ -324,13 +331,13 @@ class Shaped:
 
 @dataclasses.dataclass(frozen=True)
 class Shaping:
-    """A command unshaped and shaped; made by `shape_command`.
+    """An unshaped command and its shaped versions; made by `shape_command`.
 
     Attributes:
-        rows: the command as it was, then each shaper.
-        modes: that were shaped for, the one that the command excites most first.
-        travel: largest distance of the tip, at rest, from where it is in the end, m.
-        notes: sentences on what a reader should know.
+        rows: the original command, then one entry per shaper.
+        modes: modes for which the command was shaped, the most excited one first.
+        travel: largest distance of the tip, at rest, from its final position, m.
+        notes: sentences on limitations of the result.
     """
 
     rows: tuple[Shaped, ...]
@@ -339,12 +346,13 @@ class Shaping:
     notes: tuple[str, ...] = ()
 
 
-_NEAR = 0.02  # of the travel: there the arm is taken to rest
-_WORTH = 0.01  # of the travel: a mode that swings less is let alone
+_NEAR = 0.02  # Fraction of the travel within which the arm counts as at rest.
+_WORTH = 0.01  # Fraction of the travel below which the swing of a mode is ignored.
 _MOST_MODES = 3
-_LET = 0.4  # weight of what is left then: 5 % where it is 2 % without an error
-# Periods over that of the mode and dampings that are tried first (what creeps takes longer than any
-# swing), then how far around the best, of the period and of the damping.
+# Weight of the residual with a wrong stiffness: 5 % then count like 2 % without an error.
+_LET = 0.4
+# Initial grid: periods relative to that of the mode, and damping ratios. Creep takes longer than a
+# period. Then the step sizes of the refinements about the best point, for period and damping.
 _PERIODS, _DAMPINGS = (1.0, 1.4), (0.0, 0.1, 0.25, 0.4, 0.6, 0.8)
 _CLOSER = ((0.12, 0.08), (0.05, 0.04))
 
@@ -358,20 +366,19 @@ def shape_command(
     draw_count: int = 20,
     progress: Callable[[str], None] | None = None,
 ) -> Shaping:
-    """Shape a command so that the arm does not swing after it, in still air.
+    """Shape a command to reduce the residual swing of an arm in still air.
 
     Arguments:
-        model: the arm, or a fit of it, whose uncertainty is then drawn from.
-        command: of all joints of the arm.
-        shapers: of `SHAPERS`.
-        tuned: whether period and damping of the mode excited most are searched for, with
-            simulations.
-        draw_count: how many draws of what the fit leaves open.
-        progress: called with a line now and then.
+        model: the arm, or a fit of it. With a fit, draws of its uncertain parameters are evaluated.
+        command: command of all joints of the arm.
+        shapers: names of shapers, keys of `SHAPERS`.
+        tuned: whether period and damping of the most excited mode are tuned with simulations.
+        draw_count: number of draws of the uncertain parameters of the fit.
+        progress: called with a line of text from time to time.
 
     Raises:
-        InputError: a command that does not move the arm or has other joints, a shaper that is none,
-            or an arm that has no stable rest where the command ends.
+        InputError: a command that does not move the arm or has other joints, an unknown shaper, or
+            an arm without a stable rest pose at the end of the command.
 
     Example:
         >>> import giajax, numpy as np
@@ -416,7 +423,7 @@ def shape_command(
         rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
     if modes[0].damping > _MOST_DAMPED:
         notes.append(
-            "the air overdamps a swing of this size: the arm approaches its rest without swinging"
+            "the air overdamps a swing of this size: the arm comes to rest without swinging"
         )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
@@ -428,7 +435,7 @@ def shape_command(
 
 @program
 def _rest_tips(arm: Arm, commanded: Array) -> Array:
-    """Where the tip is at rest by each row of commanded angles, m."""
+    """Return the rest position of the tip for each row of commanded angles, m."""
 
     def at(row: Array) -> Array:
         return tip_position(arm, resting(arm, reached(arm, row))[0])
@@ -437,7 +444,7 @@ def _rest_tips(arm: Arm, commanded: Array) -> Array:
 
 
 def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:
-    """The first mode, and those that it leaves swinging, whatever the shaper."""
+    """Return the first mode, and the modes whose swing its shaper would leave."""
     first = modes[0]
     before = zero_vibration(first.period, min(first.damping, _MOST_DAMPED))
     left = [mode for mode in modes[1:] if mode.swing > _WORTH * travel]
@@ -447,7 +454,7 @@ def _chosen(modes: Sequence[Mode], travel: float) -> list[Mode]:
 
 @dataclasses.dataclass(frozen=True)
 class _Study:
-    """A command with the arms for which it is to leave no swing, the first of which is fitted."""
+    """A command and the arms whose residual swing it must reduce; the first arm is nominal."""
 
     command: Command
     mode: Mode
@@ -457,7 +464,7 @@ class _Study:
     travel: float
 
     def impulses(self, name: str, numbers: tuple[float, float]) -> Impulses:
-        """Of a shaper for the first mode by a period and damping, and for the others."""
+        """Return the impulses for the first mode, with given period and damping, and the others."""
         shaper = SHAPERS[name]
         found = shaper.impulses(*numbers)
         for mode in self.further:
@@ -465,11 +472,11 @@ class _Study:
         return found
 
     def usual(self, name: str) -> tuple[float, float]:
-        """Period and damping by the mode alone."""
+        """Return period and damping of the mode without tuning."""
         return self.mode.period, SHAPERS[name].allowed(self.mode.damping)
 
     def tuned(self, name: str) -> tuple[float, float]:
-        """Period and damping that leave least, with each wrong stiffness, too."""
+        """Return period and damping with the smallest residual, wrong stiffnesses included."""
         shaper, (period, damping) = SHAPERS[name], self.usual(name)
         arms = self.arms if shaper.robust else self.arms[:1]
         tried = [
@@ -493,7 +500,7 @@ class _Study:
         return period, damping
 
     def row(self, name: str, numbers: tuple[float, float] | None) -> Shaped:
-        """The command by a shaper, with all arms."""
+        """Return the result of a shaper for all arms."""
         impulses = NONE if numbers is None else self.impulses(name, numbers)
         shaped = self.command.shaped(impulses)
         left, times, distances = self._moved([shaped], [*self.arms, *self.drawn], _FINAL)
@@ -523,7 +530,10 @@ class _Study:
     def _moved(
         self, commands: Sequence[Command], arms: Sequence[Arm], tolerance: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What each command leaves with each arm (m), samples (s), and distances over time (m)."""
+        """Simulate each command with each arm.
+
+        Returns the residuals (m), the sample times (s), and the distances versus time (m).
+        """
         longest = 3 * max(mode.period for mode in (self.mode, *self.further))
         times = np.stack([settling_times(each.times[-1], longest) for each in commands])
         cases = [
@@ -532,7 +542,7 @@ class _Study:
             for arm in arms
         ]
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *cases)
-        # A case at a time: one program, however many there are.
+        # One case per item: the same compiled program then serves any number of cases.
         batch = Batch(_moved, stacked, (), np.ones(len(cases)), 1)
         distances, successful = run_on_all_cores([batch])[0]
         distances = np.where(successful[:, None], distances, np.inf)
@@ -541,7 +551,7 @@ class _Study:
 
     @functools.cached_property
     def rows(self) -> int:
-        """As many as a shaped command may have."""
+        """Largest number of rows of a shaped command."""
         return len(self.command.times) * 3 ** (1 + len(self.further))
 
 
@@ -557,7 +567,7 @@ SHAPING_HEADINGS = (
 
 
 def shaping_rows(found: Shaping) -> list[tuple[Any, ...]]:
-    """A row for each command, as `SHAPING_HEADINGS` says; without draws the last cell is None."""
+    """Return a row per command, with columns `SHAPING_HEADINGS`; None without draws."""
 
     def share(size: float) -> float:
         return 100 * size / found.travel
@@ -577,7 +587,7 @@ def shaping_rows(found: Shaping) -> list[tuple[Any, ...]]:
 
 
 def shaping_facts(found: Shaping) -> dict[str, Any]:
-    """What was found as plain data."""
+    """Return the result as plain data."""
     modes = [
         {"period_s": mode.period, "damping": mode.damping, "swing_m": mode.swing}
         for mode in found.modes
@@ -607,7 +617,7 @@ _COLOURS = (GREY, BLUE, VERMILLION, GREEN)
 
 
 def shaping_figure(found: Shaping, title: str = "") -> Figure:
-    """The commands, and how far the tip is from its rest over time."""
+    """Plot the commands, and the distance of the tip from its rest position versus time."""
     figure = new_figure(9, 6.4, title or "The command, unshaped and shaped")
     above, below = figure.subplots(2, 1, sharex=True)
     moved = np.ptp(found.rows[0].command.angles, axis=0)
@@ -622,7 +632,7 @@ def shaping_figure(found: Shaping, title: str = "") -> Figure:
         below.plot(row.times[UNTIL], row.distance[UNTIL], "o", color=colour, ms=5)
     below.axhline(_NEAR * found.travel, color=GREY, lw=0.8, ls=":")
     plain(above, "", "", f"command of joint {joint + 1} (deg)")
-    plain(below, "", "time (s)", "distance of the tip\nfrom its final rest (m)")
+    plain(below, "", "time (s)", "distance of the tip\nfrom its final position (m)")
     below.set_ylim(0, None)
     above.legend(fontsize=9, frameon=False)
     return figure

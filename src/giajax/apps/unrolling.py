@@ -1,4 +1,4 @@
-"""An arm that is unrolled by a hand or by gas, and filled then: its course, table and picture."""
+"""Unrolling of an arm by hand or by gas, and its filling: simulation, table and figure."""
 
 import dataclasses
 import json
@@ -49,7 +49,7 @@ _ROWS = 401
 
 
 class Works(NamedTuple):
-    """Work on the roll, J: of the gas and of a hand; and what peeling and losses have taken."""
+    """Work on the roll by the gas and by a hand, and energy taken by peeling and losses, J."""
 
     gas: Scalar
     hand: Scalar
@@ -58,9 +58,9 @@ class Works(NamedTuple):
 
 
 class RollState(NamedTuple):
-    """What changes: length that is paid out, m, speed of the roll, m/s, gas, and works.
+    """State: length that is paid out, m, speed of the roll, m/s, gas, and works.
 
-    The gas is over what fills the whole arm at the pressure of the room.
+    The mass of gas is divided by the mass that fills the whole arm at ambient pressure.
     """
 
     paid_out: Scalar
@@ -70,7 +70,7 @@ class RollState(NamedTuple):
 
 
 class _Course(NamedTuple):
-    """States at steps from 0 to the end (s), some of them twice. Times of what never came: NaN."""
+    """States at integrator steps up to the end (s); times of events that never occurred are NaN."""
 
     times: Float[Array, " time"]
     state: RollState
@@ -82,7 +82,7 @@ class _Course(NamedTuple):
 
 
 def roll_rates(time: Any, state: RollState, unrolling: Unrolling) -> RollState:
-    """Rates of change: d/dt (M v) - M' v^2 / 2 = forces, the gas, and the power of each force."""
+    """Return d/dt of the state, with d/dt (M v) - M' v^2 / 2 = forces, and the powers of forces."""
     del time
     x, speed = state.paid_out, state.speed
     pressure = _tube(unrolling, state).pressure
@@ -100,16 +100,16 @@ def roll_rates(time: Any, state: RollState, unrolling: Unrolling) -> RollState:
 
 
 def _tube(unrolling: Unrolling, state: RollState) -> BagState:
-    """Pressure and fullness of what is paid out, which is one bag."""
+    """Return pressure and fullness of the part that is paid out, which is one bag."""
     filling = unrolling.filling
-    # A step that the integrator tries may wind it up again.
+    # A trial step of the integrator may wind the roll up beyond its start.
     paid_out = larger(state.paid_out, unrolling.roll.start / 2)
     part = jnp.sum(open_volume(unrolling, paid_out)) / jnp.sum(filling.volume)
     return bag_state(filling.gas, filling.skin, unrolling.stretch, state.share / part)
 
 
 def _flow(unrolling: Unrolling, state: RollState, pressure: Scalar) -> Scalar:
-    """Gas that the supply feeds, kg/s; none while a hand unrolls."""
+    """Return the gas flow of the supply, kg/s; zero while a hand unrolls."""
     if not unrolling.by_gas:
         return jnp.zeros_like(pressure)
     filling = unrolling.filling
@@ -118,7 +118,7 @@ def _flow(unrolling: Unrolling, state: RollState, pressure: Scalar) -> Scalar:
 
 
 def _hand_force(unrolling: Unrolling, forces: Forces) -> Scalar:
-    """Force of the hand, N: the one that it holds, or what it takes to hold the speed."""
+    """Return the force of the hand, N: the given force, or the one that keeps the speed."""
     if unrolling.by_gas:
         return jnp.zeros_like(forces.gas)
     if unrolling.hand.kind == "force":
@@ -127,7 +127,7 @@ def _hand_force(unrolling: Unrolling, forces: Forces) -> Scalar:
 
 
 def _net_lift(unrolling: Unrolling, state: RollState) -> Float[Array, " link"]:
-    """Mass that each link could still carry, kg, of which only a part may be paid out."""
+    """Return the mass that each link could still carry, kg; it may be paid out only in part."""
     filling = unrolling.filling
     tight = open_volume(unrolling, state.paid_out)
     share = state.share * jnp.sum(filling.volume) / larger(jnp.sum(tight), 1e-30)
@@ -138,7 +138,7 @@ def _net_lift(unrolling: Unrolling, state: RollState) -> Float[Array, " link"]:
 
 @program
 def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) -> _Course:
-    """Unroll until the whole arm is paid out, or until the end (s); told of at so many times."""
+    """Unroll until the whole arm is paid out, or until the end (s), with `times` output times."""
     exact = 100 * float(jnp.finfo(end.dtype).eps)
     zero = jnp.zeros_like(end)
 
@@ -150,7 +150,7 @@ def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) ->
     start = jnp.asarray(unrolling.roll.start, end.dtype)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(roll_rates),
-        # Gas in a short tube is a stiff spring, and sticking layers are a stiff damper.
+        # The gas in a short tube acts as a stiff spring, and sticking layers as a stiff damper.
         diffrax.Kvaerno5(),
         t0=zero,
         t1=end,
@@ -168,7 +168,7 @@ def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) ->
     count = solution.stats["num_accepted_steps"]
     last = solution.ts[count]
     grid = jnp.linspace(0, last, times, dtype=last.dtype)
-    # Between its steps the solution is of a lower order than at them.
+    # The solution is less accurate between the steps of the integrator: report states at steps.
     rows = jnp.minimum(jnp.searchsorted(solution.ts, grid), count)
 
     def lifted(y: RollState) -> Array:
@@ -190,7 +190,7 @@ def _course(unrolling: Unrolling, end: Scalar, tolerance: Scalar, times: int) ->
 
 
 def _tried(unrolling: Unrolling, limit: Any) -> _Course:
-    """The states over time, as far as steps came."""
+    """Return the states versus time, up to the last successful step."""
     real = jnp.result_type(float)
     tolerance = 1e-10 if unrolling.by_gas else 1e-12
     if real == jnp.float32:
@@ -199,10 +199,10 @@ def _tried(unrolling: Unrolling, limit: Any) -> _Course:
 
 
 def unrolling_time(unrolling: Unrolling, *, limit: float = LIMIT) -> Scalar:
-    """How long it takes to unroll an arm, s; NaN where it is not unrolled within the limit (s).
+    """Return the time that unrolling takes, s; NaN if it takes longer than the limit (s).
 
-    It may be differentiated forwards (`jax.jvp`, `jax.jacfwd`) by every array of the unrolling,
-    whose numbers are not checked.
+    The result is differentiable in forward mode (`jax.jvp`, `jax.jacfwd`) with respect to every
+    array of the unrolling. The values of these arrays are not checked.
 
     Example:
         >>> import giajax
@@ -218,9 +218,9 @@ _Numbers = npt.NDArray[np.float64]
 
 
 class Energies(NamedTuple):
-    """Of a roll over time, J: kinetic, of its weight on a floor, and of its film's bending.
+    """Energies of a roll versus time, J: kinetic, weight on a floor, and bending of the film.
 
-    That of bending is beyond the energy of the whole arm in the roll.
+    The bending energy is relative to that of the whole arm in the roll.
     """
 
     kinetic: Array
@@ -230,28 +230,30 @@ class Energies(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Unrolled:
-    """An arm that was unrolled, over time, and how it was filled then.
+    """Result of unrolling an arm, versus time, and of its subsequent filling.
 
     The times are those of steps of the integrator, at most 401.
 
     Attributes:
-        times: s, from 0 until all is paid out, shape (time,).
+        times: times from 0 until the whole arm is paid out, s, shape (time,).
         paid_out: length of the arm that is paid out, m, shape (time,).
-        speed: of the roll, m/s, shape (time,).
-        radius: of the roll, m, shape (time,).
-        pressure: in what is paid out, above that of the room, Pa, shape (time,).
-        gas: mass in what is paid out, kg, shape (time,).
-        flow: of the supply, as volume at the pressure of the room, m^3/s, shape (time,).
-        forces: on the roll, N, each of shape (time,).
-        hand_force: of the hand, N, shape (time,).
-        energies: of the roll, J, each of shape (time,).
-        works: on the roll since the beginning, J, each of shape (time,).
-        imbalance: largest difference of gas that was fed and gas that is in the arm by its
-            pressure and volume, over what fills the arm; of the filling, too.
-        lift_off: when each link's lift bears the link, s; NaN where it never does, shape (link,).
-        arm_lift_off: when the lift of all links bears the mass of all, s.
-        finished: whether the whole arm was paid out within the limit.
-        filled: the filling that begins then, on a clock of its own; None where it was not.
+        speed: speed of the roll, m/s, shape (time,).
+        radius: radius of the roll, m, shape (time,).
+        pressure: gauge pressure in the part that is paid out, Pa, shape (time,).
+        gas: mass of gas in the part that is paid out, kg, shape (time,).
+        flow: volume flow of the supply at ambient pressure, m^3/s, shape (time,).
+        forces: forces on the roll, N, each of shape (time,).
+        hand_force: force of the hand, N, shape (time,).
+        energies: energies of the roll, J, each of shape (time,).
+        works: works on the roll since the beginning, J, each of shape (time,).
+        imbalance: largest difference between the supplied gas and the gas in the arm according to
+            its pressure and volume, divided by the mass that fills the arm; the filling is
+            included.
+        lift_off: time at which the lift of each link exceeds its weight, s; NaN if it never does,
+            shape (link,).
+        arm_lift_off: time at which the lift of all links exceeds their total weight, s.
+        finished: whether the whole arm was paid out within the time limit.
+        filled: subsequent filling, with times from its own start; None if there was no filling.
     """
 
     unrolling: Unrolling
@@ -274,17 +276,17 @@ class Unrolled:
 
     @property
     def handed_over(self) -> float:
-        """When the whole arm is paid out and filling begins, s; NaN where that never came."""
+        """Time at which the whole arm is paid out and filling begins, s; NaN if it never is."""
         return float(self.times[-1]) if self.finished else np.nan
 
     @property
     def duration(self) -> float:
-        """How long unrolling and filling took, s; NaN where they were not finished."""
+        """Duration of unrolling and filling, s; NaN if they were not finished."""
         return self.handed_over + self.filled.duration if self.filled else np.nan
 
     @property
     def energy_imbalance(self) -> float:
-        """Largest difference of the roll's energy and the works on it, J."""
+        """Largest difference between the energy of the roll and the works on it, J."""
         energy = np.sum(np.asarray(self.energies), axis=0)
         works = self.works
         done = np.asarray(works.gas + works.hand - works.peel - works.loss)
@@ -292,17 +294,18 @@ class Unrolled:
 
 
 def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrolled:
-    """Unroll an arm of balloons from its core, and fill it with helium then (figs 14 and 15).
+    """Unroll an arm of balloons from its core, and then fill it with helium (figs 14 and 15).
 
-    What gas has unrolled the arm is in its links, at the same pressure in all, when filling begins.
+    If gas unrolls the arm, this gas is in the links when the filling begins, at the same pressure
+    in all of them.
 
     Arguments:
-        unrolling: the roll, its film, what drives it, and the filling; by hand by default.
-        limit: when to give up, s, unrolling and filling each.
+        unrolling: the roll, its film, its drive, and the filling. The default is by hand.
+        limit: time limit of unrolling and of filling, s.
 
     Raises:
-        InputError: a number that is out of its bounds, a roll that cannot be, or steps that do not
-            come to an end.
+        InputError: a number outside its bounds, an impossible roll, or a simulation that does not
+            finish.
 
     Example:
         >>> import giajax
@@ -321,7 +324,7 @@ def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrol
             f"{int(found.steps)} steps: increase film.loss, or reduce film.peel"
         )
     finished = bool(found.finished)
-    # Steps that are longer than the time between two rows are in several of them.
+    # A step that is longer than the interval between two rows appears in several rows.
     _, rows = np.unique(np.asarray(found.times), return_index=True)
     both = (found.state, _seen(made, found))
     state, seen = jax.tree.map(lambda each: np.asarray(each)[rows], both)
@@ -356,7 +359,7 @@ def unroll(unrolling: Unrolling | None = None, *, limit: float = LIMIT) -> Unrol
 
 
 class _Seen(NamedTuple):
-    """What follows from states, as `Unrolled` has it; the share is by pressure and volume."""
+    """Quantities derived from states, for `Unrolled`; the share follows from the pressure."""
 
     radius: Array
     pressure: Array
@@ -369,7 +372,7 @@ class _Seen(NamedTuple):
 
 @program
 def _seen(unrolling: Unrolling, found: _Course) -> _Seen:
-    """What follows from the states of a course."""
+    """Return the quantities derived from the states of a course."""
     filling = unrolling.filling
 
     def at(state: RollState) -> _Seen:
@@ -395,13 +398,13 @@ def _seen(unrolling: Unrolling, found: _Course) -> _Seen:
 
 
 def _check_unrolling(unrolling: Unrolling) -> None:
-    """Refuse numbers that are out of bounds, and rolls that cannot be."""
+    """Raise an error for parameters outside their bounds, and for impossible rolls."""
     filling, roll, film = unrolling.filling, unrolling.roll, unrolling.film
     strength = STRENGTHS[filling.supply.kind]
     if unrolling.by_gas and not float(get(filling, strength)) > 0:
         raise InputError(
-            f"the arm is set to unroll by gas, but with {strength} = "
-            f"{float(get(filling, strength)):g} no gas flows: give a positive number, or the order "
+            f"the arm is set to unroll by gas, but no gas flows with {strength} = "
+            f"{float(get(filling, strength)):g}: give a positive number, or the order "
             '"roll first"'
         )
     check_filling(filling)
@@ -413,8 +416,8 @@ def _check_unrolling(unrolling: Unrolling) -> None:
             check_within_bounds(parameter, float(parameter.value(unrolling)), free=not closed)
     if not float(roll.radius) > float(roll.core_radius):
         raise InputError(
-            f"the radius of the roll is {float(roll.radius) * 1e3:g} mm, and the radius of its "
-            f"core {float(roll.core_radius) * 1e3:g} mm: give a roll larger than its core"
+            f"the radius of the roll is {float(roll.radius) * 1e3:g} mm, but its core has a radius "
+            f"of {float(roll.core_radius) * 1e3:g} mm: give a roll larger than its core"
         )
     layer, films = float(unrolling.pitch), 2 * float(film.thickness)
     if layer < films:
@@ -436,7 +439,7 @@ _MINUTE = 60.0
 
 
 def unrolling_files(unrolled: Unrolled) -> dict[str, bytes]:
-    """Numbers and a picture, by the names of `UNROLLING_FILES`; those of the filling, too."""
+    """Return the files of an unrolling, `UNROLLING_FILES`, and those of its filling."""
     files = {
         "unrolling.json": f"{unrolling_json(unrolled)}\n".encode(),
         "unrolling.csv": to_csv(_columns(unrolled)),
@@ -462,7 +465,7 @@ def _columns(unrolled: Unrolled) -> dict[str, Any]:
 
 
 def unrolling_json(unrolled: Unrolled) -> str:
-    """An unrolling as JSON text, without what it was like on the way; what never came is null."""
+    """Return final values of an unrolling as JSON text; events that did not occur are null."""
     made, filled = unrolled.unrolling, unrolled.filled
     full = np.full(unrolled.lift_off.shape, np.nan)
     if filled is not None:
@@ -498,17 +501,17 @@ _SHOWN = {
     "peel": ("peel", VERMILLION),
     "loss": ("loss", PURPLE),
 }
-"""Labels and colours of the forces in the figure; forces of bending and inertia are small."""
+"""Labels and colours of the forces in the figure. Bending and inertia forces are small."""
 
 
 def unrolling_figure(unrolled: Unrolled) -> Figure:
-    """Length paid out, speed and forces over time, and the gas until the arm is full."""
+    """Plot length paid out, speed and forces versus time, and the gas until the arm is full."""
     made = unrolled.unrolling
     by = "gas" if made.by_gas else "hand"
-    end = f"after {unrolled.handed_over / _MINUTE:.1f} min" if unrolled.finished else "never"
-    figure = new_figure(
-        9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: completely paid out {end}"
-    )
+    end = "not completely paid out"
+    if unrolled.finished:
+        end = f"completely paid out after {unrolled.handed_over / _MINUTE:.1f} min"
+    figure = new_figure(9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: {end}")
     minutes = unrolled.times / _MINUTE
     axes = figure.add_subplot(2, 2, 1)
     axes.plot(minutes, unrolled.paid_out, color=BLUE, linewidth=1.4)
@@ -537,7 +540,7 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
 
 
 def _area(unrolled: Unrolled) -> _Numbers:
-    """Area of the tube where the roll is, m^2."""
+    """Return the cross-section of the tube at the roll, m^2."""
     made = unrolled.unrolling
     link = np.searchsorted(np.asarray(made.ends)[:-1], unrolled.paid_out, side="right")
     area: _Numbers = np.pi / 4 * np.asarray(made.filling.arm.links.diameter)[link] ** 2
@@ -545,7 +548,7 @@ def _area(unrolled: Unrolled) -> _Numbers:
 
 
 def _whole_course(axes: Axes, unrolled: Unrolled) -> None:
-    """Gas in the arm until it is full, with the hand-over and lift-off."""
+    """Plot the gas in the arm until it is full, with the hand-over and lift-off."""
     full = float(np.sum(np.asarray(unrolled.unrolling.filling.full_mass)))
     times, gas = unrolled.times, unrolled.gas
     if (filled := unrolled.filled) is not None:

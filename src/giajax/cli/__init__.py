@@ -1,3 +1,3 @@
-"""The command line. Thin: every command reads its options and calls the library."""
+"""Command line of giajax; every command only reads its options and calls the library."""
 
 from ._app import main as main

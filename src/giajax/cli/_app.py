@@ -1,7 +1,7 @@
 """The commands of `giajax`.
 
-A command registers itself, and imports what is heavy inside its function: `giajax --help`
-and `giajax check` start without JAX.
+Each command registers itself. Slow imports are inside its function, so that `giajax --help` and
+`giajax check` start without JAX.
 """
 
 import sys
@@ -22,7 +22,7 @@ from ._commands import (
     with_options,
 )
 
-# Each file registers its commands.
+# Each imported file registers its commands.
 for _path in sorted(Path(__file__).parent.glob("_[a-z]*.py")):
     import_module(f".{_path.stem}", __package__)
 
@@ -36,11 +36,11 @@ Examples:
   giajax simulate --ramp 1=30 --to run.csv
                             simulate a run
   giajax examples           list the supplied runs and fit definitions
-  giajax joint --out DIR    one joint at rest: paths, forces, equilibria
+  giajax joint --out DIR    compute paths, forces and equilibria of a joint
   giajax fit --data run.csv
                             fit drag, stiffness and damping to the run
   giajax report giajax-out/run
-                            write a page: verdict, estimates, residuals
+                            write a page with the verdict and the estimates
   giajax view giajax-out/run
                             show the fitted arm and the recorded markers
   giajax compare giajax-out/run giajax-out/other
@@ -52,19 +52,19 @@ Examples:
   giajax influence giajax-out/run
                             show how each marker and run changes the estimates
   giajax sweep plan.toml --workers 4
-                            run many fits with other values, runs or options
+                            run fits with different values, runs or options
   giajax profile giajax-out/run
-                            profile-likelihood intervals of the parameters
+                            compute profile-likelihood intervals
   giajax posterior giajax-out/run
                             sample the posterior of the parameters
   giajax predict giajax-out/run --data other.csv
-                            compute how well the fit predicts another run
+                            test how well the fit predicts another run
   giajax choose --data loops.csv
                             select a hysteresis model for a joint
   giajax compensate fit --target target.csv --to command.csv
                             compute commands that compensate the hysteresis
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
-                            design the next experiment: command and markers
+                            design the command and markers of an experiment
   giajax shape command.csv --model giajax-out/run --out shaped
                             shape a command to reduce the residual swing
   giajax plan --model giajax-out/run --pose 1=20 --out planned
@@ -72,12 +72,12 @@ Examples:
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
                             estimate the arm's motion from noisy measurements
   giajax wind --data resting.csv --wind 0,0.2,0
-                            fit mean flow and gusts to a recording at rest
-  giajax fill --out DIR     fill 20 balloons with helium: fullness, lift
+                            fit mean flow and gusts to a resting arm's motion
+  giajax fill --out DIR     simulate the filling of 20 balloons with helium
   giajax mission missions/naraha.toml
-                            steer the tip through a 2 m opening by camera
+                            use a camera to steer the tip through an opening
   giajax life missions/naraha.toml --out DIR
-                            unroll, fill, fly the mission and deflate
+                            simulate unrolling, filling, mission and deflation
   giajax hysteresis --out DIR
                             simulate the paper's experiment on one link
   giajax paper all --out DIR
@@ -89,19 +89,19 @@ extension .toml can describe the run."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run `giajax` with these arguments (those of the process by default); the exit status."""
+    """Run `giajax` with these arguments (default: those of the process); return the exit status."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run(typer.main.get_command(_app_for(words)), words)
 
 
 def command_names() -> list[str]:
-    """The names of all commands, in the order of the help."""
+    """Return the names of all commands, in the order of the help."""
     order = list(GROUPS)
     return sorted(COMMANDS, key=lambda name: (order.index(COMMANDS[name].group), name))
 
 
 def old_forms() -> Iterator[tuple[str, str]]:
-    """Each command line that is an old form, and the one that it is now."""
+    """Yield every old command line together with its current form."""
     names = command_names()
     group: Any = typer.main.get_command(_app_for(names))
     for name in names:
@@ -109,10 +109,10 @@ def old_forms() -> Iterator[tuple[str, str]]:
 
 
 def _app_for(words: Sequence[str]) -> typer.Typer:
-    """The app, whose commands have their options if they are among the words.
+    """Return the app, in which only commands that are among the words have their options.
 
-    Typer reads the signatures of all commands before it looks for the one that is asked for: half
-    of the time of `giajax --help`, which shows none of their options.
+    Typer reads the signatures of all commands before it selects one. This takes half of the time of
+    `giajax --help`, which shows no options of commands.
     """
     app = typer.Typer(
         name="giajax",

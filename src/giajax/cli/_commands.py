@@ -1,4 +1,4 @@
-"""What commands are made of: registration, words, ends; and options and output that many have."""
+"""Framework of the commands: registration, parsing, errors, and shared options and output."""
 
 import contextlib
 import dataclasses
@@ -56,12 +56,12 @@ GROUPS = {
 """Titles of the groups of commands, in the order used in the help."""
 
 OLD_FORMS_END = UNTIL
-"""Date until which old forms of options work, the same as for earlier Python names."""
+"""Date until which old forms of options and earlier Python names work."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Registered:
-    """A command: its function, and what `command` was given with it."""
+    """A command: its function and the arguments that `command` was given for it."""
 
     function: Function
     examples: str
@@ -87,17 +87,17 @@ def command(
 ) -> Callable[[Function], Function]:
     """Make a function a command of `giajax`, whose help ends with examples.
 
-    A parameter is an option by its annotation: `Annotated[type, metavar, help]`, and without the
-    metavar a switch. Words such as "--set" follow where the option is not called as its parameter,
-    numbers are the least and the greatest value, and what is a list may be repeated. Of keywords,
-    `**settings: Unpack[Settings]`, each item of the `TypedDict` is one.
-    They stand in the help behind the parameter `settings_after`. A command that draws `pictures`
-    has `--format` and `--dpi`.
+    A parameter becomes an option by its annotation: `Annotated[type, metavar, help]`. Without a
+    metavar it is a switch. Further strings such as "--set" are the names of the option if it is not
+    called like its parameter. Numbers are the smallest and the largest value. An option of a list
+    type may be repeated. For keywords, `**settings: Unpack[Settings]`, each item of the `TypedDict`
+    is an option. These options follow the parameter `settings_after` in the help. A command that
+    draws `pictures` has `--format` and `--dpi`.
 
-    The help of all commands shows it in one of `GROUPS`. `old` has the options that it had under
-    other names, and what each is now: an option (or several), or an argument by its metavar;
-    "--out FILE.json" is an option whose values of this ending are old. Words beyond the arguments
-    that it has were those of the option `old_words`.
+    The help lists the command in the group `group`, a key of `GROUPS`. `old` maps former options to
+    their current forms: an option (or several), or an argument given by its metavar. The key
+    "--out FILE.json" means that values of the option with this ending are old. Excess words after
+    the arguments were formerly arguments, and are now values of the option `old_words`.
     """
     if group not in GROUPS:
         raise ValueError(f"there is no group '{group}': use one of {', '.join(GROUPS)}")
@@ -105,7 +105,7 @@ def command(
     forms = {form: (new,) if isinstance(new, str) else new for form, new in (old or {}).items()}
 
     def register(function: Function) -> Function:
-        # `import` is a word of Python: its function is called import_.
+        # `import` is a keyword of Python: the function is called import_.
         COMMANDS[function.__name__.rstrip("_")] = Registered(
             function, examples, group, settings_after, pictures, forms, old_words
         )
@@ -115,7 +115,7 @@ def command(
 
 
 def argument(metavar: str, text: str) -> Any:
-    """An argument, which has a place and no name: what the help calls it, and says of it."""
+    """Return a positional argument with its metavar and help text."""
     return typer.Argument(metavar=metavar, help=text)
 
 
@@ -143,7 +143,7 @@ _PICTURES = [
 
 
 def with_options(registered: Registered) -> Function:
-    """The function of a command as typer reads it, with an option for each parameter."""
+    """Return the function of a command in the form for typer, with an option per parameter."""
     function, settings_after = registered.function, registered.settings_after
     parameters: list[Parameter] = []
     for each in inspect.signature(function, eval_str=True).parameters.values():
@@ -157,6 +157,11 @@ def with_options(registered: Registered) -> Function:
         else:
             parameters.append(each.replace(kind=Parameter.KEYWORD_ONLY))
 
+    # Such a command only prints if no folder is given and no folder is the default.
+    may_only_print = any(
+        each.name == "out" and each.default is None and "[default: " not in str(each.annotation)
+        for each in parameters
+    )
     parameters += [*(_PICTURES if registered.pictures else []), _PLUGINS]
 
     @functools.wraps(function)
@@ -164,11 +169,17 @@ def with_options(registered: Registered) -> Function:
         plugin: Paths = None, formats: Texts = None, dpi: int | None = None, **given: Any
     ) -> None:
         if plugin:
-            configure()  # before it imports Equinox, or makes an array
+            configure()  # Before the plug-in imports Equinox or creates an array.
         for path in plugin or ():
             load_plugin(path)
         if (formats or dpi) and given.get("figures") is False:
-            raise InputError("--no-figures draws nothing: omit it, or omit --format and --dpi")
+            raise InputError(
+                "--format and --dpi have no effect with --no-figures: omit them or --no-figures"
+            )
+        if (formats or dpi) and may_only_print and given["out"] is None:
+            raise InputError(
+                "no picture is written without --out: add it, or omit --format and --dpi"
+            )
         with pictures_as(formats or (), dpi):
             function(**given)
 
@@ -176,14 +187,14 @@ def with_options(registered: Registered) -> Function:
 
 
 def with_signature(function: Function, parameters: Sequence[Parameter]) -> Function:
-    """The function, which says that it has these parameters."""
+    """Set the signature of a function to these parameters, and return the function."""
     function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     function.__annotations__ = {each.name: each.annotation for each in parameters}
     return function
 
 
 def _with_option(parameter: Parameter) -> Parameter:
-    """A parameter whose annotation has the option that its words describe."""
+    """Return a parameter whose annotation contains the option that its strings describe."""
     kind, *about = get_args(parameter.annotation) or [None]
     words = [each for each in about if isinstance(each, str)]
     if not words:
@@ -202,20 +213,20 @@ def _with_option(parameter: Parameter) -> Parameter:
     return parameter.replace(annotation=Annotated[kind, option])
 
 
-# What was typed for a number or a path, looked at before it is converted.
+# Check the words for numbers and paths before they are converted.
 #
-# Python reads `1_0` as ten, and digits of every script; neither is how a number is written here.
+# Python reads `1_0` as ten and accepts digits of every script, which giajax does not.
 
 _WHOLE = re.compile(r"[-+]?[0-9]{1,18}")
 
 
 def command_of(function: Callable[..., None], registered: Registered) -> type[TyperCommand]:
-    """A class for the command of a function, which checks numbers and paths by its signature."""
+    """Return a command class that checks numbers and paths by the signature of a function."""
     types = {name: _type_of(hint) for name, hint in get_type_hints(function).items()}
 
     class Command(TyperCommand):
         def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            """Translate old forms, check the words, then convert them."""
+            """Translate old forms, check the words, and then convert them."""
             translation = Translation(self, registered, args)
             args = translation.words
             typed = self.make_parser(ctx).parse_args(args=list(args))[0]
@@ -229,11 +240,11 @@ def command_of(function: Callable[..., None], registered: Registered) -> type[Ty
     return Command
 
 
-# Old forms of options, which are translated before the words are parsed.
+# Old forms of options are translated before the words are parsed.
 
 
 def _named(command: Any) -> dict[str, Any]:
-    """The options of a command by each of their names."""
+    """Return the options of a command by all of their names."""
     return {
         name: each
         for each in command.params
@@ -247,22 +258,22 @@ def _arguments(command: Any) -> list[Any]:
 
 
 def _shown(form: str, options: Mapping[str, Any]) -> str:
-    """An option with its metavar, if it has one; an argument is its metavar."""
+    """Return an option with its metavar, if it has one; an argument is its own metavar."""
     metavar = options[form].metavar if form in options else None
     return f"{form} {metavar}" if metavar else form
 
 
 def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]]:
-    """The old forms of a command, each with the command line that it was and the one that it is.
+    """Return the old command lines of a command, each with its current form.
 
-    Keys are those of `Registered.old`, and "" for words that were those of an option.
+    The keys are those of `Registered.old`, and "" for words that have become values of an option.
     """
     options, pairs = _named(command), {}
     if words := registered.old_words:
         places = [each.metavar for each in _arguments(command)]
         pairs[""] = [*places, options[words].metavar], [*places, _shown(words, options)]
     for form, news in registered.old.items():
-        # An option that is an argument now has the metavar of that.
+        # An option that has become an argument is shown with the metavar of the argument.
         metavars = [options[new].metavar if new in options else new for new in news[:1]]
         was = [form] if " " in form else [form, *filter(None, metavars)]
         pairs[form] = was, [_shown(new, options) for new in news]
@@ -276,22 +287,22 @@ class Translation:
     """The words of a command line, with its old forms translated.
 
     Attributes:
-        words: those of today.
-        notes: a line for each old form.
+        words: current form of the words.
+        notes: one line of text for each old form.
 
     Raises:
-        InputError: an old form is beside the new one.
+        InputError: an old form is given together with the new one.
     """
 
     def __init__(self, command: Any, registered: Registered, typed: Sequence[str]) -> None:
         self.words: list[str] = []
-        self._behind: list[str] = []  # words behind "--", which are no options
+        self._behind: list[str] = []  # Words after "--", which are not options.
         self._registered, self._options = registered, _named(command)
         counts = (each.nargs if each.nargs > 0 else len(typed) for each in _arguments(command))
-        self._places = sum(counts)  # left for arguments
+        self._places = sum(counts)  # Number of arguments that are still missing.
         self._given: set[str] = set()
-        self._moved: dict[str, str] = {}  # values of options that are arguments now, by metavar
-        self._found: dict[str, tuple[str, ...]] = {}  # old forms, and what each is now
+        self._moved: dict[str, str] = {}  # Values of options that are now arguments, by metavar.
+        self._found: dict[str, tuple[str, ...]] = {}  # Old forms and their current forms.
         left = list(typed)
         while left:
             word = left.pop(0)
@@ -325,20 +336,20 @@ class Translation:
             self.notes = []
 
     def _argument(self, word: str, words: list[str]) -> None:
-        """Take a word that is not an option, which may be one too many as it always was."""
+        """Handle a word that is not an option; excess words may be an old form."""
         option = self._registered.old_words
         self._places -= 1
         if self._places >= 0 or not option:
             words.append(word)
             return
         if "" in self._found and not self._options[option].multiple:
-            words.append(word)  # one too many, as it always was
+            words.append(word)  # The option takes one value only: typer reports this excess word.
             return
         self._found[""], self._word = (option,), word
         self.words += [option, word]
 
     def _old_option(self, name: str, value: str, left: list[str]) -> None:
-        """Take an option that is called otherwise, or is an argument."""
+        """Translate an option that has another name now, or has become an argument."""
         news = self._found[name] = self._registered.old[name]
         if all(new in self._options and self._options[new].is_flag for new in news):
             self.words += [new + value for new in news]
@@ -348,12 +359,12 @@ class Translation:
         for new in news if values else news[:1]:
             if new in self._options:
                 self.words += [new, *values]
-            elif values:  # the last one counts, as of any option that is given again
+            elif values:  # The last one is used, as for any repeated option.
                 self._places -= new not in self._moved
                 self._moved[new] = values[0]
 
     def _option(self, word: str, name: str, left: list[str]) -> None:
-        """Take an option as it is, whose value may be of an old ending."""
+        """Handle a current option, whose value may have an old file ending."""
         self._given.add(name)
         self.words.append(word)
         if name not in self._options or self._options[name].is_flag:
@@ -370,7 +381,7 @@ class Translation:
 
 
 def _type_of(hint: Any) -> Any:
-    """`int`, `float` or `Path` of an annotation, which may be a list of them or leave them out."""
+    """Return `int`, `float` or `Path` of an annotation, also if it is a list or optional."""
     if hint in (int, float, Path):
         return hint
     return next(filter(None, map(_type_of, get_args(hint))), None)
@@ -398,13 +409,13 @@ BAD_INPUT = 2
 BROKEN = 4
 BROKEN_PIPE = 141
 
-# Typer brings its own click since 0.16 or so, and used the installed one before: what it raises
-# for a wrong option is a base of its BadParameter in both.
+# Typer bundles click from about version 0.16 on, and used the installed click before. The error
+# that is raised for a wrong option is a base class of its BadParameter in both cases.
 UsageError: Any = typer.BadParameter.__mro__[1]
 
 
 class Ended(Exception):  # noqa: N818
-    """A command that was stopped from outside, with the exit status that says so."""
+    """Stop of a command from outside, with the exit status that reports it."""
 
     def __init__(self, status: int) -> None:
         super().__init__(status)
@@ -412,20 +423,20 @@ class Ended(Exception):  # noqa: N818
 
 
 class Commands(TyperGroup):
-    """Typer's group, without its own endings for Ctrl-C and a closed pipe."""
+    """Typer's group, but Ctrl-C and closed pipes are handled by giajax."""
 
     def make_context(self, *args: Any, **kwargs: Any) -> Any:
-        """Read the words; typer would end Ctrl-C here without one of its own."""
+        """Parse the words; without this method typer would handle Ctrl-C itself."""
         with _endings():
             return super().make_context(*args, **kwargs)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that the context names."""
+        """Run the command of the context."""
         with _endings():
             return super().invoke(ctx)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section for each group, whose summaries stand below each other."""
+        """Write a section for each group, with aligned summaries."""
         names = self.list_commands(ctx)
         longest = max(map(len, names))
         for group, title in GROUPS.items():
@@ -450,10 +461,11 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 
 
 class Output:
-    """Standard output or error of a command, which goes on to its end where that takes no more.
+    """Standard output or error of a command, which continues after an output error.
 
-    What a file says is text and commands a terminal nothing. What its reader does not read, or a
-    full disk does not take, is left out; `error` says why.
+    Control characters, such as those in text from files, are escaped, so that they do not control
+    the terminal. After a closed pipe or a full disk all further output is discarded; `error` is the
+    cause.
     """
 
     def __init__(self, stream: Any) -> None:
@@ -461,13 +473,13 @@ class Output:
         self.error: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Write a text, if it can be."""
+        """Write a text, if possible."""
         shown = _CONTROL.sub(lambda one: f"\\x{ord(one[0]):02x}", text)
         self._tried(self._stream.write, shown)
         return len(text)
 
     def flush(self) -> None:
-        """Have on its way what was written."""
+        """Flush the stream, if possible."""
         self._tried(self._stream.flush)
 
     def _tried(self, function: Callable[..., Any], *arguments: Any) -> None:
@@ -477,22 +489,23 @@ class Output:
             function(*arguments)
         except OSError as error:
             self.error = error
-            # Python flushes it once more at exit: into nothing.
+            # Python flushes the stream again at exit: redirect it to the null device.
             with contextlib.suppress(OSError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
     def __getattr__(self, name: str) -> Any:
-        if name == "buffer":  # by which click would write past this
+        if name == "buffer":  # Click would bypass this object with it.
             raise AttributeError(name)
         return getattr(self._stream, name)
 
 
 def run(command: Any, arguments: list[str]) -> int:
-    """Run the command line. Whatever goes wrong is one line on standard error.
+    """Run the command line, and report every error as one line on standard error.
 
-    The exit status is 0, or that of the command's `typer.Exit(status)`; 2 for bad input or usage;
-    4 for what else goes wrong, whose traceback is in a file, or where standard output cannot be
-    written; 129, 130 or 143 by a signal; 141 if standard output is closed before its end.
+    The exit status is 0 or the status of the command's `typer.Exit(status)`. It is 2 for bad input
+    or usage. It is 4 for any other error, whose traceback is in a file, or if standard output
+    cannot be written. It is 129, 130 or 143 after a signal, and 141 if standard output is closed
+    early.
     """
     out, err = Output(sys.stdout), Output(sys.stderr)
     with contextlib.redirect_stdout(cast(Any, out)), contextlib.redirect_stderr(cast(Any, err)):
@@ -511,7 +524,7 @@ def run(command: Any, arguments: list[str]) -> int:
 
 
 def _ended(command: Any, arguments: list[str]) -> int:
-    """Run the command line; the exit status."""
+    """Run the command line and return the exit status."""
     try:
         with _endings():
             result = command.main(args=arguments, prog_name="giajax", standalone_mode=False)
@@ -526,23 +539,23 @@ def _ended(command: Any, arguments: list[str]) -> int:
         return _say(f"{why}: raise an exception with a message in the plug-in", BAD_INPUT)
     except (KeyboardInterrupt, GeneratorExit):
         raise
-    except BaseException as error:  # Polars' PanicException is no Exception
-        if is_stopped():  # what the signal raised came out of a foreign library as this
+    except BaseException as error:  # Polars' PanicException is not an Exception.
+        if is_stopped():  # A foreign library may convert the exception of the signal.
             return _say("interrupted", stopped_status())
         if isinstance(error, OSError) and isinstance(error.filename, str):
-            # Its name is too long, another program took it away, or a disk is at fault.
+            # The name is too long, another program removed the file, or a disk failed.
             why = f"{error.filename} cannot be used ({error.strerror})"
             return _say(
-                f"{why}: give another path, or correct the path in the file that states it",
+                f"{why}: give another path, or correct the path in the file that contains it",
                 BAD_INPUT,
             )
         return _say(_unexpected(error, arguments), BROKEN)
-    # Without standalone mode typer returns the status of `typer.Exit`, else what the command did.
+    # In this mode typer returns the status of `typer.Exit`, else the result of the command.
     return result if isinstance(result, int) else 0
 
 
 def _unexpected(error: BaseException, arguments: list[str]) -> str:
-    """What no command expects, as a sentence, and its traceback in a file."""
+    """Write the traceback of an unexpected error to a file, and return a sentence."""
     from importlib.metadata import version
 
     what = f"internal error ({error_in_words(error)})"
@@ -565,20 +578,20 @@ def _say(sentence: str, status: int) -> int:
 
 def _usage(error: Any) -> str:
     sentence = " ".join(error.format_message().split()).rstrip(".")
-    # Click says two sentences where it has a suggestion, each with its capital.
+    # Click writes two sentences if it has a suggestion, each with a capital letter.
     sentence = re.sub(r"(^|\. )([A-Z])", lambda m: (m[1] and ": ") + m[2].lower(), sentence)
     command = error.ctx.command_path if error.ctx is not None else "giajax"
     return f"{sentence}; '{command} --help' lists the options"
 
 
-# Options that many commands have, said once.
+# Options that several commands share.
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left: int = 1) -> None:
-    """Print a table without rules; all but the first `left` columns are aligned to the right.
+    """Print a table without rules; all columns but the first `left` are aligned to the right.
 
-    Floats are shown with 5 significant digits, None as `-`. Empty headings are left out. Where
-    standard output is not a terminal nothing is wrapped: a row is a line, for grep and awk.
+    Floats have 5 significant digits, and None is printed as `-`. Empty headings are left out. If
+    standard output is not a terminal nothing is wrapped: each row is one line, for grep and awk.
     """
     from rich.console import Console
     from rich.table import Table
@@ -592,10 +605,10 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[Any]], *, left:
         shown.add_column(Text(heading), min_width=width, **about)
     for row in cells:
         shown.add_row(*map(Text, row))
-    # What a file says must not command a terminal, so no command of ours gets there either.
+    # Text from files must not control the terminal, so this console emits no control codes at all.
     console = Console(highlight=False, color_system=None)
     if console.is_terminal:
-        # A name or a number that is cut cannot be copied: rather a line that is too long.
+        # A truncated name or number cannot be copied: allow a long line instead.
         console.width = max(console.width, sum(width + 2 for width, _ in least))
         console.print(shown)
         return
@@ -611,7 +624,7 @@ def _cell(value: Any) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
-Browser = Annotated[bool, "Open a browser, or only print the address of the page."]
+Browser = Annotated[bool, "Open the page in a browser, or only print its address."]
 Digits = Annotated[int, "N", "Number of significant digits in the files.", 3, 17]
 Force = Annotated[bool, "Overwrite existing files."]
 Host = Annotated[str, "ADDRESS", "Address of the server; 0.0.0.0 for all interfaces."]
@@ -638,7 +651,7 @@ Cores = Annotated[
 
 
 def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> None:
-    """Write files by their names into a folder, which is made where it is missing."""
+    """Write files by name into a folder, which is created if necessary."""
     from ..recordings import make_folder, write_files
 
     make_folder(out)
@@ -646,12 +659,12 @@ def write_folder(out: Path, contents: Mapping[str, bytes], *, force: bool) -> No
 
 
 def terminal_width() -> int | None:
-    """Columns of the terminal; None where no person reads, so that a row is a line for grep."""
+    """Return the columns of the terminal; None without a terminal, so that rows are not wrapped."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def say_written(out: Path, names: Iterable[str]) -> None:
-    """Say which files of a folder were written."""
+    """Print which files of a folder were written."""
     where = "" if out == Path() else f"{shlex.quote(str(out))}: "
     wrote, width = f"wrote {where}{', '.join(all_pictures(names))}", terminal_width()
     if width is not None:
@@ -661,13 +674,13 @@ def say_written(out: Path, names: Iterable[str]) -> None:
 
 
 def command_after(*words: str | Path) -> str:
-    """The command that follows, as it is typed, with the user's own paths."""
+    """Return the suggested next command as it would be typed, with the user's own paths."""
     return f"next: giajax {shlex.join(map(str, words))}"
 
 
 @contextlib.contextmanager
 def failed_simulation(options: str) -> Iterator[None]:
-    """End a command whose simulation fails with a sentence, and the options that may help."""
+    """Report a failed simulation with the options that may help, and end the command."""
     from ..simulation import SimulationError
 
     try:
@@ -678,24 +691,24 @@ def failed_simulation(options: str) -> Iterator[None]:
 
 
 def check_quiet(quiet: bool, *, written: Any, as_json: bool = False, by: str) -> None:
-    """Refuse a command that would compute, and neither print nor write what it found."""
+    """Raise an error if a command would neither print nor write its results."""
     if quiet and written is None and not as_json:
         raise InputError(f"--quiet suppresses all tables, and no output file is given: add {by}")
 
 
 def say_progress(quiet: bool) -> Callable[[str], None] | None:
-    """What shows a line on standard error, unless nothing is to be shown."""
+    """Return a function that prints a line on standard error; None if quiet."""
     return None if quiet else (lambda text: typer.echo(text, err=True))
 
 
 def say_served(page: Any, whoever: str, end: str, *, browser: bool, quiet: bool) -> None:
-    """Say where a page is, what others can do with its address, and how it ends."""
+    """Print the address of a page, what others can do with the address, and how to end it."""
     from ..apps.viewer import open_in_browser
 
     if not quiet:
         typer.echo(f"open {page.address}")
         if page.is_open:
-            typer.echo(f"anyone who has this address {whoever}, also from other machines")
+            typer.echo(f"anyone with this address {whoever}, even from another machine")
         typer.echo(f"Ctrl-C {end}")
     if browser:
         open_in_browser(page.address)
@@ -705,7 +718,7 @@ _ONLY_WHERE = ("out", "to", "page", "force", "quiet", "as_json", "formats", "dpi
 
 
 def origin(context: typer.Context) -> str:
-    """The command line without what only says where to write."""
+    """Return the command line without options that only specify where to write."""
     from importlib.metadata import version
 
     words = [f"giajax {version('giajax')} {context.command.name}"]
@@ -719,7 +732,7 @@ def origin(context: typer.Context) -> str:
         items = value if isinstance(value, list | tuple) else [value]
         for item in items:
             shown = f"{item:.15g}" if isinstance(item, float) else str(item)
-            # An argument has its place and no name.
+            # An argument has a position and no name.
             option = [parameter.opts[0]] if parameter.opts[0].startswith("-") else []
             words.append(" ".join([*option, shlex.quote(shown)]))
     return " ".join(words)
@@ -731,20 +744,20 @@ Scheduler = Annotated[
     str | None, "ADDRESS", "Compute on the dask.distributed cluster at tcp://host:8786."
 ]
 
-STARTS = "starts"  # folder of a file for each start of a fit that workers do, beside its journal
+STARTS = "starts"  # Folder with a file for each start that workers fit, beside the journal.
 
-# A line so often; for the first tasks, whose programs are compiled, none says how long it takes.
+# Interval between lines; the first tasks include compilation, so no time is estimated from them.
 _BETWEEN_S = 5.0
 _LEAST = 2
 
 
 def end_if_stopped(folder: Path | None) -> None:
-    """End a command that was stopped and has written what it had; say how to go on.
+    """End a command that was stopped after it has written its results, and say how to continue.
 
-    Its tasks were kept in the folder, if there is one.
+    The finished tasks were stored in the folder, if one is given.
     """
     if is_stopped():
-        how = "with --force" if folder is not None else "with --folder DIR, and --force,"
+        how = "with --force" if folder is not None else "with --folder DIR and --force"
         typer.echo(f"giajax: stopped: run the same command {how} to continue", err=True)
         raise typer.Exit(stopped_status())
 
@@ -753,9 +766,10 @@ def end_if_stopped(folder: Path | None) -> None:
 def workers_of_starts(
     workers: int | None, scheduler: str | None, starts: int, out: Path
 ) -> Iterator[dict[str, Any]]:
-    """Who fits the starts of a fit, as arguments of `Preparation.run`: none for threads.
+    """Provide the executor for the starts of a fit, as arguments of `Preparation.run`.
 
-    The folder of the result, `out`, has a file for each start until all of them are done.
+    There are no arguments if threads fit the starts. The folder of the result, `out`, contains a
+    file for each start until all of them are done.
     """
     if workers is None and scheduler is None:
         yield {}
@@ -769,15 +783,15 @@ def workers_of_starts(
 
 
 def forget_starts(out: Path) -> None:
-    """Remove the files of starts whose result is written."""
+    """Remove the files of the starts after their result is written."""
     for path in (out / STARTS).glob("*.json"):
         path.unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # It is not there, or something of somebody else's is.
+    with contextlib.suppress(OSError):  # The folder does not exist, or contains other files.
         (out / STARTS).rmdir()
 
 
 class ManyProgress:
-    """`progress` of `run_tasks`, whose tasks are `what`: a line on standard error now and then."""
+    """Progress of `run_tasks`, whose tasks are called `what`, on standard error."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -789,14 +803,14 @@ class ManyProgress:
     def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
         self._failed += outcome.status == "failed"
         if self._first is None and done > 1:
-            typer.echo(f"{done - 1} of {total} {self._what} exist already", err=True)
+            typer.echo(f"{done - 1} of {total} {self._what} already exist", err=True)
         self.after(done, total)
 
     def after(self, done: int, total: int) -> None:
-        """Say how many are done, and how long the others will take."""
+        """Print how many tasks are done, and how long the others will take."""
         now = time.monotonic()
         if self._first is None:
-            # The first one compiles what the others share.
+            # The first task compiles the programs that the others share.
             self._first = done, now
         if self._ended or (done < total and now - self._said < _BETWEEN_S):
             return

@@ -1,4 +1,4 @@
-"""`giajax compare`, `choose` and `report`: what results say, side by side or one on a page."""
+"""`giajax compare`, `choose` and `report`: comparison of results, and report of one result."""
 
 import json
 import sys
@@ -35,9 +35,9 @@ Examples:
                             compare three fits, and write a page with figures
 
 RESULT is the folder of a fit, or its result.json. Differences are relative to
-the first result, in combined standard errors. BIC is shown if all results were
-fitted to the same values with the same noise and loss; otherwise, a note states
-that they were not.""",
+the first result and are divided by the combined standard error. BIC is shown if
+all results were fitted to the same data with the same noise and loss.
+Otherwise, a note explains why it is missing.""",
     group="fit",
     old={"--out": "--page"},
 )
@@ -59,7 +59,7 @@ def compare(
         )
     from ..recordings import check_output_files, stored_result, write_files
 
-    # What is no result is refused before JAX is imported, which takes seconds.
+    # Reject files that are not results before JAX is imported, which takes seconds.
     for path in results:
         stored_result(path)
     if page is not None:
@@ -90,8 +90,8 @@ def compare(
 
 
 def _names(paths: list[Path]) -> list[str]:
-    """Names of the folders of results, or of files; whole paths where these are not different."""
-    # A folder may have points in its name, such as those of a version.
+    """Return the names of result folders or files, or whole paths if names are not unique."""
+    # A folder name may contain dots, such as those of a version number.
     homes = [path.parent if path.name == "result.json" else path for path in paths]
     short = [path.name if path.is_dir() else path.stem for path in homes]
     return short if len(set(short)) == len(short) and all(short) else [str(path) for path in paths]
@@ -110,9 +110,9 @@ Examples:
   giajax choose --data loops.csv --only preisach --only bouc_wen
                             compare only these two models
 
-The model with the smallest error on the held-out loops comes first; fits that did
-not converge come last, whatever their errors. AIC and BIC refer to the fitted
-part and are relative to the best model. A small difference in BIC combined
+The models are sorted by their error on the held-out loops. Models whose fit did
+not converge come last. AIC and BIC refer to the fitted part of the data and are
+relative to the smallest value. A small difference in BIC combined
 with a large difference on the held-out loops indicates overfitting.""",
     group="fit",
     old={"--held-out": "--validation"},
@@ -121,7 +121,7 @@ def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit the models to."],
     validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     fraction: Annotated[
-        float, "F", "Fraction held out at the end of each run without --validation."
+        float, "F", "Fraction of each run held out at its end if --validation is not given."
     ] = 0.3,
     only: Annotated[Texts, "NAME", "Compare only this model."] = None,
     rename: Renamed = None,
@@ -174,9 +174,10 @@ Examples:
   giajax report giajax-out/run --data elsewhere/run.csv
                             read a run file that was moved after the fit
 
-RESULT is the folder of a fit, or its result.json. The page is one file that
-opens without a network: verdict, parameters and their limits, recorded
-and fitted values, an animation of the arm, and the provenance.""",
+RESULT is the folder of a fit, or its result.json. The page is a single file
+that opens without a network connection. It contains the verdict, the parameters
+and their limits, the recorded and fitted values, an animation of the arm, and
+the provenance.""",
     group="first",
     page="Output file for the page. [default: report.html beside the result]",
     old={"--out": "--page"},

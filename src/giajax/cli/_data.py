@@ -23,22 +23,22 @@ from ._commands import (
 )
 from ._values import numbers
 
-_ODD = 3  # with --strict
+_ODD = 3  # Exit status with --strict.
 
 
 @command(
     """\b
 Examples:
   giajax check --data run.csv
-                            channels, samples and implausible values
+                            list channels, samples and implausible values
   giajax check --data camera.csv --rename t=time_s --rename "z 6"=link06_z_m
-                            with renamed columns
+                            rename columns before the check
   giajax check --data run.csv --strict --json
-                            JSON output for a script
+                            print JSON for a script
 
 \b
 Notes on implausible units, signs, labels, lost cells, glitches and constants
-come first. Values are judged by their magnitude; no file is changed.
+come first. Values are judged by their magnitude. No file is changed.
 Exit status: 0 success; 2 bad input or usage; 3 with --strict, if a value is
 implausible.""",
     group="first",
@@ -53,7 +53,7 @@ def check(
     """Summarise a run and report implausible values.
 
     Shows the model, samples, commands, channels with their range and noise, values that are
-    unlikely in a correct recording, and the assumptions where the sidecar states nothing.
+    unlikely in a correct recording, and the assumptions made where the sidecar has no entry.
     """
     from ..recordings import describe, parse_rename, read_run
 
@@ -133,8 +133,8 @@ def init(
 ) -> None:
     """Write a sidecar template for a run.
 
-    It states what the run file implies, and lists every other applicable key, with unit and
-    meaning, as a comment.
+    It contains the values that follow from the run file. All other applicable keys are listed as
+    comments, with their units and meanings.
     """
     from ..recordings import parse_rename, sidecar_path, sidecar_template, write_files
 
@@ -146,7 +146,7 @@ def init(
 
 
 def _named(data: Path, rename: list[str] | None) -> list[str]:
-    """A run as another command is given it."""
+    """Return the options with which another command reads this run."""
     return ["--data", str(data), *(word for pair in rename or [] for word in ("--rename", pair))]
 
 
@@ -188,8 +188,8 @@ def import_(
         argument(
             "FILE",
             "A text file from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
-            "phyphox, or with column names of giajax, separated by commas, semicolons or "
-            "tabs; or a ROS 2 bag: a folder, .mcap or .db3 (needs pip install 'giajax[ros]').",
+            "phyphox, or a table with giajax column names, separated by commas, semicolons or "
+            "tabs. Also a ROS 2 bag: a folder, .mcap or .db3 (needs pip install 'giajax[ros]').",
         ),
     ],
     to: ToRun,
@@ -205,11 +205,11 @@ def import_(
     frame_rate: Annotated[
         float | None,
         "HZ",
-        "Frame rate of the film in frames per second; replaces the times in the file.",
+        "Frame rate of the film in frames per second. It replaces the times in the file.",
     ] = None,
     likelihood: Annotated[float, "P", "Treat points with a lower likelihood as missing."] = 0.6,
     unit: Annotated[
-        str | None, "UNIT", "Unit of length if the file does not state it: m, cm or mm."
+        str | None, "UNIT", "Unit of length if the file does not specify it: m, cm or mm."
     ] = None,
     origin: Annotated[
         str | None,
@@ -238,7 +238,7 @@ def import_(
     command: Annotated[
         Path | None,
         "FILE",
-        "A run with the commands, on the same clock as the film, or with points of another camera.",
+        "A run on the same clock as the film, with commands or with points from another camera.",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -289,16 +289,16 @@ def import_(
                 f"{name} was not found in any row of {file}: omit this point, or lower "
                 "--likelihood if the file contains likelihoods"
             )
-    # Coordinates of a point are found together.
+    # The coordinates of a point are missing or present together.
     found = {name.rpartition("_")[0]: np.isfinite(column) for name, column in measured.items()}
     count = len(next(iter(values.values())))
     if command is not None:
         if times is None:
             raise InputError(
-                f"{file} contains no times: give the rows per second with --frame-rate"
+                f"{file} contains no times: give the number of rows per second with --frame-rate"
             )
         beside = read_beside(command)
-        # A command of a bag holds until the next message.
+        # A command in a bag is held until the next message.
         times, values = filmed_beside(times, values, beside, held=table.merged)
     write_run(to, times, values, digits=9, force=force)
     if quiet:
@@ -316,7 +316,7 @@ def import_(
 _DATA = ("data/synthetic", "data/independent", "data/recorded")
 _FOLDERS = ("fits", "missions", *_DATA)
 _MANY = 5
-_COPIED = (".csv", ".toml", ".md", ".txt", "")  # a licence has no suffix
+_COPIED = (".csv", ".toml", ".md", ".txt", "")  # A licence has no suffix.
 
 
 @command(
@@ -357,9 +357,9 @@ def examples(
 
 
 def examples_root() -> Path:
-    """The folder that holds `fits/`, `missions/` and `data/`.
+    """Return the folder that contains `fits/`, `missions/` and `data/`.
 
-    In an installed package it is `giajax/_examples`; in a checkout (an editable install) the
+    In an installed package it is `giajax/_examples`. In a checkout (an editable install) it is the
     root of the repository.
     """
     from importlib import resources
@@ -370,7 +370,7 @@ def examples_root() -> Path:
         if all((root / folder).is_dir() for folder in _FOLDERS):
             return root
     raise InputError(
-        f"the examples are not part of this installation ({package}): install giajax again"
+        f"the examples are not part of this installation ({package}): reinstall giajax"
     )
 
 
@@ -378,18 +378,20 @@ def _show_examples(root: Path) -> None:
     from ..recordings import Definition
 
     fits = sorted((root / "fits").glob("*.toml"))
-    print_table(["fit definition", "fits", "to"], [_fit(path, root) for path in fits], left=3)
+    print_table(
+        ["fit definition", "parameters", "data"], [_fit(path, root) for path in fits], left=3
+    )
     print()
     missions = []
     for path in sorted((root / "missions").glob("*.toml")):
         mission = Definition.load(path).mission
         missions.append((path.relative_to(root).as_posix(), mission and mission.opening))
-    print_table(["mission", "through"], missions, left=2)
+    print_table(["mission", "opening"], missions, left=2)
     print()
     tables = [path for data in _DATA for path in sorted((root / data).rglob("*.csv"))]
-    # A table without a sidecar is something that a run was made from.
+    # A table without a sidecar is a source from which a run was made.
     runs = [path for path in tables if path.with_suffix(".toml").exists()]
-    headings = ["run", "driven", "rows", "seconds", "channels", "missing %"]
+    headings = ["run", "inputs", "rows", "seconds", "channels", "missing %"]
     print_table(headings, [_run(path, root) for path in runs], left=2)
     print(f"\nThe examples are in {root}; to copy them: giajax examples --copy DIR")
 
@@ -439,9 +441,9 @@ def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."]
 
     Each command reuses the programs for its model and data. A file from another version of giajax,
     or a damaged one, is not used. Only --clear removes files. The folder is giajax in the user's
-    cache directory, or the folder in JAX_COMPILATION_CACHE_DIR, of which only files that giajax
-    wrote are removed. A folder that others can write, or that belongs to another account, is not
-    used, because its programs are not trusted.
+    cache directory, or the folder in JAX_COMPILATION_CACHE_DIR. From the latter, --clear removes
+    only files that giajax wrote. A folder that other users can write to, or that belongs to another
+    account, is not used, because its programs are not trusted.
     """
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX
@@ -449,8 +451,8 @@ def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."]
     directory, stated = compilation_cache()
     if directory is None:
         typer.echo(
-            "no folder is available for the cache, so no programs are kept: set XDG_CACHE_HOME to "
-            "a writable folder"
+            "no folder is available for the cache, so compiled programs are not kept: set "
+            "XDG_CACHE_HOME to a writable folder"
         )
         return
     traced = sorted((directory / PROGRAMS).glob(f"*{SUFFIX}"))
@@ -469,7 +471,7 @@ def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."]
     typer.echo(str(directory))
     rows = []
     for name, paths in (("traced", traced), ("compiled", compiled)):
-        # Another process may remove one meanwhile.
+        # Another process may remove a file in the meantime.
         size = sum(path.stat().st_size for path in paths if path.exists())
         rows.append((name, len(paths), f"{size / 1e6:.1f}"))
     print_table(["", "programs", "MB"], rows)

@@ -1,11 +1,12 @@
-"""`giajax drive` and `view`: an arm in a browser, driven or shown, and what a pad did."""
+"""`giajax drive` and `view`: an arm in a browser, to drive it or to show recorded motion."""
 
 import functools
 import itertools
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -35,22 +36,22 @@ from ._values import noise_section, settings, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..apps.driving import Session, TipCamera, Unfinished
+    from ..apps.driving import Record, Session, TipCamera
     from ..apps.synthetic import Drive
     from ..models import ArmModel
     from ..recordings import Definition
 
-# Rows of a drive are on the disk so often, s: a kill loses no more.
+# Interval at which rows of a drive are written, s: at most this much is lost in a crash.
 _KEPT_S = 0.5
 
-# Of gusts, s; then they begin again. And how often their rows are.
+# Duration of the gusts, s, after which they repeat, and their rows per second.
 _GUSTY, _GUST_RATE = 1800.0, 10.0
 
 
 def driven_arm(
     what: Path | None, links: int | None, wind: str | None, *, quiet: bool
 ) -> "tuple[Definition, ArmModel]":
-    """What a file and the options say, and the arm: of a fit, or of a file."""
+    """Return the definition from file and options, and the arm of the fit or of the file."""
     from ..models import ArmModel
 
     if what is None or not is_result(what):
@@ -74,7 +75,7 @@ def driven_arm(
 def wind_of(
     gusts: str | None, definition: "Definition", model: "ArmModel", seed: int, *, quiet: bool
 ) -> "Drive | None":
-    """Gusts about a mean wind, or that wind alone."""
+    """Return gusts about a mean wind, or only the wind of the definition."""
     import numpy as np
 
     from ..apps.synthetic import Drive
@@ -97,11 +98,11 @@ def wind_of(
 def replay_table(
     session: "Session",
     table: "Mapping[str, np.ndarray]",
-    unfinished: "Unfinished",
+    drives: "Drives",
     *,
     quiet: bool,
 ) -> None:
-    """Drive by a table; says how far it is, if the output is shown."""
+    """Drive the arm by a table of commands; print the progress if the output is shown."""
     from ..apps.driving import replay
 
     watched, said, kept = sys.stderr.isatty() and not quiet, -1, time.monotonic()
@@ -109,7 +110,7 @@ def replay_table(
     def on_progress(done: float, whole: float) -> None:
         nonlocal said, kept
         if time.monotonic() - kept > _KEPT_S:
-            unfinished.add()
+            drives.keep()
             kept = time.monotonic()
         if watched and (percent := int(100 * done / whole)) > said:
             said = percent
@@ -123,14 +124,14 @@ def replay_table(
 def serve(
     session: "Session",
     camera: "TipCamera",
-    unfinished: "Unfinished",
+    drives: "Drives",
     *,
     host: str,
     port: int,
     browser: bool,
     quiet: bool,
 ) -> None:
-    """Serve the page until Ctrl-C, or until the operator ends the drive."""
+    """Serve the page until Ctrl-C, or until the operator ends the session."""
     from ..apps.driving import Cockpit
 
     cockpit = Cockpit(session, camera, host=host, port=port)
@@ -138,7 +139,8 @@ def serve(
         ends = "ends the drive and saves it"
         say_served(cockpit, "can drive the arm", ends, browser=browser, quiet=quiet)
         while not cockpit.wait(_KEPT_S):
-            unfinished.add()
+            drives.save_all(cockpit.driven)
+            drives.keep()
         if not cockpit.finished:
             raise cockpit.failure or InputError(cockpit.error or "the drive has ended")
     except KeyboardInterrupt:
@@ -146,44 +148,97 @@ def serve(
             typer.echo("\nsaving the drive")
     finally:
         cockpit.close()
+        drives.save_all(cockpit.driven)
 
 
-def save(
-    session: "Session",
-    unfinished: "Unfinished",
-    out: Path,
-    channels: list[str],
-    *,
-    force: bool,
-    quiet: bool,
-    **how: Any,
-) -> None:
-    """Write the drive, and say what is in it; one in which nothing was moved is not written.
+class Drives:
+    """The drives of a session as files, each under its own name.
 
-    `how` is as of `giajax.apps.driving.Record.run`.
+    Arguments:
+        names: paths of the runs. The first one may be overwritten; each of the others must be new.
+        complain: called with a sentence if a drive cannot be stored.
+        how: arguments of `giajax.apps.driving.Record.run` after its channels.
     """
-    try:
-        run = session.record.run(channels, name=out.stem, **how)
-        driven = f"{session.time:.1f} s driven, "
-        write_and_say(out, run, 12, force=force, quiet=quiet, what=driven)
-    except InputError as error:
-        if session.record.is_still:
-            typer.echo(f"giajax: {error}", err=True)
-            unfinished.remove()
-            return
-        unfinished.add()
-        raise InputError(
-            f"{error}; the recorded part of the drive is in {unfinished.path}"
-        ) from None
-    unfinished.remove()
-    if session.lost and not quiet:
-        typer.echo(
-            f"the simulation fell {session.lost:.1f} s behind real time, and this time was skipped"
+
+    def __init__(
+        self,
+        session: "Session",
+        names: Iterator[Path],
+        channels: list[str],
+        *,
+        force: bool,
+        quiet: bool,
+        complain: Callable[[str], None],
+        **how: Any,
+    ) -> None:
+        self._session, self._names, self._channels = session, names, channels
+        self._force, self._quiet, self._complain, self._how = force, quiet, complain, how
+        self._begin(session.record)
+
+    def _begin(self, record: "Record") -> None:
+        from ..apps.driving import Unfinished
+
+        self._out = next(self._names)
+        self._unfinished = Unfinished(
+            record, _files(self._out)[-1], origin=self._how["origin"], complain=self._complain
         )
+
+    def keep(self) -> None:
+        """Write the rows that were driven since the last call."""
+        self._unfinished.add()
+
+    def save(self, record: "Record") -> None:
+        """Write a drive and describe it; a drive without motion is not written."""
+        if self._unfinished.record is not record:
+            self._unfinished.remove()
+            self._begin(record)
+        try:
+            run = record.run(self._channels, name=self._out.stem, **self._how)
+            driven = f"{record.duration:.1f} s driven, "
+            written: dict[str, Any] = {"force": self._force, "quiet": self._quiet, "what": driven}
+            write_and_say(self._out, run, 12, **written)
+        except InputError as error:
+            if record.is_still:
+                typer.echo(f"giajax: {error}", err=True)
+                self._unfinished.remove()
+                return
+            self._unfinished.add()
+            raise InputError(
+                f"{error}; the recorded part of the drive is in {self._unfinished.path}"
+            ) from None
+        self._unfinished.remove()
+        if record.lost and not self._quiet:
+            typer.echo(
+                f"the simulation fell {record.lost:.1f} s behind real time, and this time was "
+                "skipped"
+            )
+
+    def save_all(self, driven: "deque[Record]") -> None:
+        """Write the finished drives, and begin the file of the current one."""
+        if not driven:
+            return
+        while driven:
+            try:
+                self.save(driven.popleft())
+            except InputError as error:
+                self._complain(f"giajax: {error}")
+        self._begin(self._session.record)
+
+
+def _free_names(to: Path | None) -> Iterator[Path]:
+    """Yield paths of runs: first `to`, whether it exists or not, then paths that do not exist."""
+    numbered = (
+        (Path(f"drive-{number}.csv") for number in itertools.count(1))
+        if to is None
+        else (to.with_name(f"{to.stem}-{number}{to.suffix}") for number in itertools.count(2))
+    )
+    if to is not None:
+        yield to
+    yield from (name for name in numbered if not any(map(os.path.lexists, _files(name))))
 
 
 def _files(out: Path) -> tuple[Path, Path, Path]:
-    """The files of a drive: its run, the sidecar, and what is there of it until it is saved."""
+    """Return the files of a drive: its run, its sidecar, and its unfinished run."""
     return out, out.with_suffix(".toml"), out.with_name(f"{out.stem}-unfinished.csv")
 
 
@@ -201,7 +256,7 @@ Examples:
                             replay pad inputs as fast as possible
 
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
-the tip; sliders and presets move any joint. If the pad, the browser tab or the
+the tip. Sliders and presets move any joint. If the pad, the browser tab or the
 connection is lost, the arm holds its position. Ctrl-C ends the drive and saves it
 as a run that giajax fit can read. A pad file assigns sticks and buttons:
 
@@ -213,8 +268,9 @@ as a run that giajax fit can read. A pad file assigns sticks and buttons:
   presets = [{name = "up", joints = [1], angles_deg = [20], others_deg = 0}]
 
 \b
-A table of pad inputs has the columns time_s, axis0 (axis1 and so on) and
-button0 (button1 and so on). Each row applies until the time of the next row.""",
+A table of pad inputs has the column time_s, one column for each axis (axis0,
+axis1 and so on) and one for each button (button0, button1 and so on).
+Each row applies until the time of the next row.""",
     group="plan",
     old={"--out": "--to"},
 )
@@ -239,7 +295,7 @@ def drive(
     no_memory: Annotated[bool, "Simulate the joints without hysteresis."] = False,
     latency: Annotated[float, "S", "Delay of the image from the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Number of poses per second."] = 30.0,
-    steps: Annotated[int, "N", "Integration steps in each interval.", 1] = 1,
+    steps: Annotated[int, "N", "Number of integration steps between two poses.", 1] = 1,
     to: Annotated[
         Path | None,
         "RUN.csv",
@@ -265,12 +321,10 @@ def drive(
     from ..recordings import check_output_run, stored_result
 
     section = noise_section(noise, "--noise")
-    if to is None:
-        names = (Path(f"drive-{number}.csv") for number in itertools.count(1))
-        to = next(n for n in names if not any(map(os.path.lexists, _files(n))))
-    check_output_run(to, force=force)
-    part = _files(to)[-1]
-    check_output_run(part, force=force)
+    names = _free_names(to)
+    first = next(names)
+    for path in (first, _files(first)[-1]):
+        check_output_run(path, force=force)
     values = settings(pairs)
     if what is not None and not what.exists():
         raise InputError(f"{what} does not exist: give the folder of a fit or the file of an arm")
@@ -283,7 +337,6 @@ def drive(
         PadMapping,
         Session,
         TipCamera,
-        Unfinished,
         check_length,
         read_pad,
     )
@@ -310,20 +363,20 @@ def drive(
     )
     if table is not None:
         check_length(float(np.ptp(table["time_s"])), session.interval)
-    say = functools.partial(typer.echo, err=True)
-    unfinished = Unfinished(session.record, part, origin=origin(context), complain=say)
+    drives = Drives(
+        session, itertools.chain([first], names), recorded, force=force, quiet=quiet,
+        complain=functools.partial(typer.echo, err=True),
+        noise=section, every=every, seed=seed, origin=origin(context),
+    )  # fmt: skip
     try:
         if table is not None:
-            replay_table(session, table, unfinished, quiet=quiet)
+            replay_table(session, table, drives, quiet=quiet)
         else:
             camera = TipCamera(model, latency)
             where: dict[str, Any] = {"host": host, "port": port, "browser": browser}
-            serve(session, camera, unfinished, **where, quiet=quiet)
+            serve(session, camera, drives, **where, quiet=quiet)
     finally:
-        save(
-            session, unfinished, to, recorded, noise=section, every=every, seed=seed,
-            origin=origin(context), force=force, quiet=quiet,
-        )  # fmt: skip
+        drives.save(session.record)
 
 
 @command(
@@ -343,7 +396,7 @@ Examples:
 
 WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
 of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm] section.
-The server listens on this machine only unless --host is given. The page opens only by
+The server listens on this machine only unless --host is given. The page opens only with
 its full address, which contains a token.""",
     group="first",
     old={"--out": "--page"},
@@ -358,7 +411,7 @@ def view(
     ] = None,
     rename: Renamed = None,
     truth: Annotated[
-        Path | None, "TRUE.csv", "File with the true angles of all joints, drawn over the arm."
+        Path | None, "TRUE.csv", "File with the true angles of all joints, shown as an overlay."
     ] = None,
     overlay: Annotated[bool, "Overlay the arms instead of placing them side by side."] = False,
     page: Annotated[Path | None, "FILE.html", "Write a page that plays without a server."] = None,
@@ -399,8 +452,8 @@ def view(
         found, overlay = [*found, posed(true, "truth")], True
     if len(found) > 1 and any(isinstance(each, Posable) for each in found):
         raise InputError(
-            "a TOML file that states no motion must be the only argument: give one TOML file, or "
-            "runs and fits"
+            "the TOML file of an arm contains no motion, so it must be the only argument: give one "
+            "TOML file, or runs and fits"
         )
     if page is not None:
         shows = [

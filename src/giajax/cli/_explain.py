@@ -1,4 +1,4 @@
-"""`giajax explain`: what runs need beyond the model that is assumed, step by step."""
+"""`giajax explain`: stepwise search for effects that runs need beyond the assumed model."""
 
 import dataclasses
 from pathlib import Path
@@ -34,7 +34,7 @@ PAGE = "explain.html"
     """\b
 Examples:
   giajax explain --data run.csv --out why
-                            identify the effects in the run, and write to why
+                            find the effects in the run
   giajax explain --data run.csv --out why --budget 15m --tries 1
                             find the best model within 15 minutes
   giajax explain --data a.csv --data b.csv --validation c.csv
@@ -47,14 +47,14 @@ Examples:
 The command fits the model as `giajax fit` does, tests the residuals, fits the
 most likely suspects, keeps the best one, removes effects that are no longer
 needed, and repeats these steps.
-The steps are validated on the last fifth of each run, or on the --validation runs; the final
+The steps are validated on the last fifth of each run, or on the --validation runs. The final
 model is fitted to all runs of --data. All other options are those of `giajax fit`.
 
 DIR contains the final result in the format of `giajax fit`, explain.json with
 the steps, the parameters and the models that fit nearly as well, explain.html,
 and each fit in DIR/fits. After Ctrl-C or at the end of --budget, the same files
-are written for the last step; --resume DIR continues with the same steps, and
---force starts again.
+are written for the last step. With --resume DIR, the command continues with the
+same steps. With --force, it starts again.
 
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
@@ -148,7 +148,7 @@ def explain(
         written = {folder / record.file: record.to_json().encode()}
         write_files(written, force=True)
         if report:
-            # It has a section for each record that lies beside the result.
+            # The report has a section for each record beside the result.
             source = folder / "result.json"
             written[folder / PAGE] = report_page(result, found.runs, source=source)
             write_files(written, force=True)
@@ -160,7 +160,7 @@ def explain(
         show_result(result, task.definition)
         say_written(folder, [path.name for path in (*written, *files)])
     if record.ended in ("budget", "interrupted"):
-        # A first fit that was stopped is made anew.
+        # A first fit that was stopped is not stored, so it cannot be continued.
         begun = (folder / FITS / FIRST).exists()
         how = f"; to continue: {resumes('explain', folder)}" if begun else ""
         typer.echo(f"giajax: {record.ending}{how}", err=True)
@@ -170,7 +170,7 @@ def explain(
 
 
 def _resumed(folder: Path) -> "FitTask":
-    """The task of an explanation that was stopped; an InputError where there is none."""
+    """Return the task of a stopped explanation; raise an InputError if there is none."""
     from ..tasks import FitTask
 
     if not (folder / FITS / FIRST).exists():
@@ -181,7 +181,7 @@ def _resumed(folder: Path) -> "FitTask":
 
 
 def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool) -> "FitResult":
-    """The first fit of a prepared task, which is made and kept unless an explanation goes on."""
+    """Return the first fit of a task; it is computed and stored unless it is resumed."""
     from ..fitting import load_result
     from ..recordings import make_folder, write_files
     from ..report import check_folder
@@ -191,13 +191,13 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
         return load_result(path)
     if path.exists() and not force:
         raise InputError(
-            f"{folder} already has an explanation: continue with {resumes('explain', folder)}, "
-            "give another --out, or --force to start again"
+            f"{folder} already contains an explanation: continue with "
+            f"{resumes('explain', folder)}, give another --out, or use --force to start again"
         )
     if not force and any((folder / FITS).glob("*")):
         raise InputError(
             f"{folder / FITS} contains files that do not belong to an explanation: give another "
-            "--out, or --force to keep these files and write into the same folder"
+            "--out, or use --force to keep these files and write into the same folder"
         )
     check_folder(folder, ready.runs, ready.setup.config, force=force)
     for old in (path, folder / JOURNAL, *(folder / FITS).glob("[0-9][0-9][0-9].json")):
@@ -205,12 +205,12 @@ def _begun(ready: Any, folder: Path, *, resumed: bool, force: bool, quiet: bool)
     result = ready.run(stop_if_asked if quiet else Progress(ready.setup))
     if result.status == "interrupted" or result.reason == "budget":
         return result
-    # Its budget did not end it, and is not that of another time.
+    # The budget did not end this fit, and must not apply when the explanation is continued.
     config = {name: item for name, item in result.config.items() if name != "budget_s"}
     if uncertainty := ready.definition.fit.uncertainty:
         config["uncertainty"] = dict(uncertainty)
     result = dataclasses.replace(result, config=config)
     make_folder(folder / FITS)
     write_files({path: result.to_json().encode()}, force=True)
-    # As it is when the explanation goes on.
+    # Return the fit in the form in which a continued explanation reads it.
     return load_result(path)

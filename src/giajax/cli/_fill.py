@@ -1,4 +1,4 @@
-"""`giajax fill`: an arm of balloons that is filled with helium."""
+"""`giajax fill`: filling of an arm of balloons with helium."""
 
 import math
 from pathlib import Path
@@ -34,7 +34,7 @@ Examples:
   giajax fill --out filling
                             also write files and figures
   giajax fill filling.toml --minutes 30 --out filling --force
-                            use your definition; compute ports for 30 min
+                            use your definition and a filling time of 30 min
   giajax fill --set ports.diameter=0.008 --no-curve --json
                             use another port diameter, and print JSON
 
@@ -71,9 +71,9 @@ def fill(
 ) -> None:
     """Fill an arm of balloons with helium, link by link.
 
-    Computes the state of each link over time, for bags in a row with ports between them, fed at the
-    base (the paper's fig. 15). Also computes the pairs of port and supply with which filling takes
-    the paper's 23 minutes.
+    Computes the state of each link over time. The bags form a row with ports between them, and the
+    gas is supplied at the base (the paper's fig. 15). Also computes the combinations of port and
+    supply for which filling takes 23 minutes, as in the paper.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -117,7 +117,7 @@ def fill(
 
 
 def _show(filled: "Filled") -> None:
-    """A row for each link, and what is so of all."""
+    """Print a row for each link, and the results for the whole arm."""
     import numpy as np
 
     def minutes(seconds: float) -> str | None:
@@ -129,7 +129,7 @@ def _show(filled: "Filled") -> None:
         numbers = (f"{filled.fullness[-1, link]:.3f}", f"{most:.1f}", f"{lift:.1f}")
         stiffness = f"{filled.stiffness[-1, link]:.1f}"
         rows.append((str(link + 1), minutes(full), minutes(lifts), *numbers, stiffness))
-    headings = ["link", "full min", "lifts min", "fullness", "most Pa", "lift g", "N m^2"]
+    headings = ["link", "full min", "lifts min", "fullness", "max Pa", "lift g", "N m^2"]
     print_table(headings, rows)
     if filled.finished:
         typer.echo(f"\nthe arm is full after {filled.duration / 60:.2f} min")
@@ -142,8 +142,8 @@ def _show(filled: "Filled") -> None:
 
 
 def say_lift_off(seconds: float) -> None:
-    """When an arm lifts itself; a time that never came is NaN."""
-    said = "the lift does not carry the arm"
+    """Print the time at which an arm lifts itself; NaN means that it never does."""
+    said = "the lift is too small to carry the arm"
     if not math.isnan(seconds):
         said = f"the arm lifts itself at {seconds / 60:.2f} min"
     typer.echo(said)
@@ -155,10 +155,10 @@ def _show_curve(curve: "FillingCurve") -> None:
     from ..schema import SUPPLY
 
     unit = next(each.unit for each in SUPPLY if each.path == curve.path)
-    typer.echo(f"\nfilling takes {curve.duration / 60:g} min with")
+    typer.echo(f"\nports and supplies for a filling time of {curve.duration / 60:g} min:")
     columns = (curve.diameters, curve.flows, curve.strengths, curve.pressures)
     rows = []
     for diameter, flow, strength, pressure in zip(*columns, strict=True):
         cells = (f"{6e4 * flow:.2f}", f"{strength:.5g}", f"{pressure:.0f}")
         rows.append((f"{1e3 * diameter:g}", *((None,) * 3 if np.isnan(flow) else cells)))
-    print_table(["port mm", "l/min", f"{curve.path} {unit}", "most Pa"], rows)
+    print_table(["port mm", "l/min", f"{curve.path} {unit}", "max Pa"], rows)

@@ -1,4 +1,4 @@
-"""`giajax fit`: parameters of a model from recordings of it."""
+"""`giajax fit`: estimation of the parameters of a model from recordings."""
 
 import contextlib
 import dataclasses
@@ -54,21 +54,21 @@ if TYPE_CHECKING:
     from ..recordings import Definition, Run, TaskKeywords
     from ..tasks import FitTask
 
-# `giajax fit` once its options are read: fit with a journal, write, show.
+# The part of `giajax fit` after its options are read: fit with a journal, write, show.
 
-# Who waits for less needs no word about it; a word a minute is enough for the others.
+# Shorter times are not announced; one line per minute is enough for longer ones.
 _WORTH_A_WORD_S = 30.0
 _BETWEEN_WORDS_S = 60.0
 
-_LEAST = 2  # steps that must have been timed: the first one compiles
+_LEAST = 2  # Number of steps that must have been timed, because the first one includes compilation.
 
 
 @dataclasses.dataclass
 class TimeLeft:
-    """Says now and then how long a fit of at most so many trial steps may still take.
+    """Estimate of the remaining time of a fit with a maximum number of trial steps.
 
-    The number of steps to an optimum is not known: what is said is how long it takes at
-    most, or with several starts, how long at the pace of those before.
+    The number of steps to the optimum is not known in advance. The estimate is therefore the
+    longest possible time. With several starts it is based on the duration of the previous starts.
     """
 
     most: int
@@ -82,12 +82,12 @@ class TimeLeft:
         self._start_times: list[float] = []
 
     def start(self) -> None:
-        """One of several starts begins now."""
+        """Record that the next start begins."""
         self._before = time.monotonic()
         self._start_times.append(self._before)
 
     def after(self, number: int) -> str | None:
-        """What to say after a step, if anything; step 0 is the evaluation of the start."""
+        """Return a sentence after a step, or None; step 0 is the evaluation of the start."""
         now = time.monotonic()
         taken, self._before = now - self._before, now
         if number > 0:
@@ -104,19 +104,19 @@ class TimeLeft:
         return sentence.format(left=time_in_words(seconds))
 
     def _estimate(self, number: int, now: float) -> tuple[float, str]:
-        """Seconds, and a sentence for them."""
+        """Return the remaining seconds and a sentence for them."""
         if len(self._start_times) > 1:
             each = (self._start_times[-1] - self._start_times[0]) / (len(self._start_times) - 1)
             whole = each * (self.starts - len(self._start_times) + 1)
             return max(whole - (now - self._start_times[-1]), 0.0), (
-                f"about {{left}} left for the starts up to {self.starts}, estimated from the "
+                f"about {{left}} left until all {self.starts} starts are done, estimated from the "
                 "previous starts"
             )
         steps = self.most - number + self.most * (self.starts - 1)
         each = statistics.median(self._steps)
         return steps * each, (
-            f"at most {{left}} left: {steps} steps of {time_in_words(each)}; most fits need far "
-            "fewer steps"
+            f"at most {{left}} left: {steps} steps of {time_in_words(each)}, but most fits need "
+            "far fewer steps"
         )
 
 
@@ -125,10 +125,10 @@ def _say(line: str) -> None:
 
 
 class Progress:
-    """One line an iteration on standard error, as it happens.
+    """One line per iteration on standard error, printed immediately.
 
-    Values have the units of the table at the end, and are those of what was asked alone. `left`
-    says how long it may still take.
+    The values have the units of the final table; nuisance parameters are not shown. `left`
+    estimates the remaining time.
     """
 
     def __init__(self, setup: "Setup", left: TimeLeft | None = None) -> None:
@@ -161,7 +161,7 @@ class Progress:
         stop_if_asked(iteration)
 
     def announce(self, number: int, start: Mapping[str, float]) -> None:
-        """Say which of several starts is next."""
+        """Print which of several starts is next."""
         if self._left is not None:
             self._left.start()
         _say(f"start {number}")
@@ -170,13 +170,13 @@ class Progress:
         width = shutil.get_terminal_size().columns if sys.stderr.isatty() else math.inf
         names = [[path] for path in paths]
         if sum(_BEFORE) + sum(len(path) + _GAP for path in paths) > width:
-            # A name goes on below, joints. pitch_ stiffness: four parameters go into 80 columns.
+            # Long names are split over several lines, so that four parameters fit in 80 columns.
             names = [re.split(r"(?<=[._])(?=.)", path) for path in paths]
         self._widths = list(_BEFORE)
         for parts in names:
             self._widths.append(max(9, *map(len, parts)))
             if sum(self._widths) + _GAP * (len(self._widths) - 1) > width:
-                # No name and no number is cut: who is in a hurry sees the first ones.
+                # Names and numbers are not truncated: only the first parameters that fit are shown.
                 self._widths.pop()
                 break
         shown = names[: len(self._widths) - len(_BEFORE)]
@@ -187,19 +187,20 @@ class Progress:
             self._row(["", "", "", "", *row])
         self._row(["", "cost", "step", "taken", *last])
         if len(shown) < len(paths):
-            _say(f"({len(paths) - len(shown)} more parameters do not fit into the terminal)")
+            _say(f"({len(paths) - len(shown)} more parameters do not fit in the terminal)")
 
     def _row(self, cells: list[str]) -> None:
-        # Where not all parameters are shown there are fewer widths than cells.
+        # If not all parameters are shown there are fewer widths than cells.
         columns = zip(cells, self._widths, strict=False)
         _say((" " * _GAP).join(cell.rjust(width) for cell, width in columns).rstrip())
 
 
-_BEFORE, _GAP = (4, 11, 8, 5), 2  # widths of what is before the parameters, and what is between
+# Widths of the columns before the parameters, and of the gap between columns.
+_BEFORE, _GAP = (4, 11, 8, 5), 2
 
 
 def _in_windows(setup: "Setup") -> Progress:
-    """The progress of a fit in windows, which only says where that of whole runs begins."""
+    """Announce the fit in windows, and return its progress."""
     _say(f"first fit in {len(setup.runs)} windows")
     return Progress(setup)
 
@@ -209,10 +210,10 @@ def _of_windows(result: "FitResult") -> None:
 
 
 def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> list[Path]:
-    """Write a result; where that cannot be (a full disk), it goes to standard output.
+    """Write a result; if that fails (a full disk), print it to standard output.
 
-    Where that cannot take it either, such as a file on the same disk, it goes to standard error.
-    What cannot be written beside `result.json` is only said.
+    If standard output cannot take it, such as a file on the same disk, it goes to standard error. A
+    failure to write other files than `result.json` is only reported.
     """
     from ..report import write_result
 
@@ -220,7 +221,7 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
     try:
         try:
             return write()
-        except KeyboardInterrupt:  # once more, because this is what the fit was for
+        except KeyboardInterrupt:  # Write again, because the result must not be lost.
             write()
             raise
     except InputError as error:
@@ -241,7 +242,7 @@ def write_or_print(result: "FitResult", runs: "Sequence[Run]", folder: Path) -> 
 
 @contextlib.contextmanager
 def _beside_result() -> Iterator[None]:
-    """What is written beside `result.json`: where that cannot be, as on a full disk, it is said."""
+    """Report errors when other files than `result.json` are written, such as on a full disk."""
     try:
         yield
     except InputError as error:
@@ -249,7 +250,7 @@ def _beside_result() -> Iterator[None]:
 
 
 def show_result(result: "FitResult", definition: "Definition") -> None:
-    """Print the estimates, the summary and the figures to reach."""
+    """Print the estimates, the summary and the target figures."""
     from ..report import parameter_table, reached, summary
 
     width = terminal_width()
@@ -263,26 +264,26 @@ def show_result(result: "FitResult", definition: "Definition") -> None:
 
 
 def show_diagnosis(result: "FitResult") -> None:
-    """Print the first suspects, and what stated uncertainties of held numbers do."""
+    """Print the first suspects, and the effects of the uncertainty of fixed parameters."""
     from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
 
     if rows := first_suspects(result):
         print("\neffects that the residuals suggest (giajax suspects lists all suspects):")
         print_table(SUSPECT_HEADINGS, rows)
     if any(error.stated for error in result.systematic):
-        print("\neffect of the uncertainty of fixed parameters, in standard errors:")
+        print("\neffect of the uncertainty of fixed parameters, in units of the standard error:")
         print_table(*systematic_table(result))
 
 
 _STATUS = {"converged": 0, "not_converged": 1}
 
-_INADEQUATE = 3  # with --strict, of a fit whose model is inadequate or doubtful
+_INADEQUATE = 3  # Exit status with --strict if the model is inadequate or doubtful.
 
 
 def finished(folder: Path, as_json: bool, quiet: bool) -> int | None:
-    """Say of a fit that has ended that there is nothing to go on with; the status of its end.
+    """Report that a completed fit cannot be continued, and return its exit status.
 
-    It is None where there is a journal, or no such result.
+    The status is None if there is a journal, or no such result.
     """
     from ..recordings import stored_result
     from ..tasks import read_journal
@@ -317,7 +318,7 @@ def run_fit(
     workers: int | None,
     scheduler: str | None,
 ) -> int:
-    """Fit a task, write its result and show it, by the options of these names; the exit status."""
+    """Fit a task, write and show its result; the arguments are options; return the status."""
     configure()
     from ..recordings import stored_result, write_files
     from ..report import (
@@ -368,14 +369,14 @@ def run_fit(
                 _complain(f"the computed part of the fit is kept: {_go_on(task)}")
             raise
         if progress is not None:
-            # A line between the iterations and the table, where both are on one screen.
+            # Separate the iterations from the table by a blank line if both are on one screen.
             typer.echo("", err=True)
         files = write_or_print(result, ready.runs, task.out)
         journal.settle(result)
         goes_on = journal.path.exists()
         if not goes_on:
             forget_starts(task.out)
-    # The fit itself is on disk by now: these tests compile a program of their own.
+    # The fit itself is written before these tests, which compile another program.
     untested: list[str] = []
     asked = ready.diagnosed(
         result,
@@ -396,7 +397,7 @@ def run_fit(
         typer.echo(asked.to_json(), nl=False)
     elif not quiet:
         show_diagnosis(asked)
-    # What a person waits for is there; drawing takes a second or two.
+    # The results are printed before figures are drawn, which takes a second or two.
     if figures:
         with _beside_result():
             files += write_figures(asked, ready.runs, task.out, held_out=ready.held_out_runs)
@@ -425,16 +426,16 @@ def run_fit(
 
 
 def _go_on(task: "FitTask", result: "FitResult | None" = None) -> str:
-    """How a fit that was stopped is gone on with."""
+    """Return a sentence on how to continue a stopped fit."""
     how = f"to continue the fit: {resumes('fit', task.out)}"
-    # A fit that had its iterations would end again at once.
+    # A fit that has used all its iterations would end again immediately.
     if result and result.status == "not_converged" and "budget_s" not in result.config:
         how += f" --max-iterations {2 * result.config['max_iterations']}"
     return how
 
 
 def resumes(command: str, folder: Path) -> str:
-    """The command that goes on with what was stopped in a folder."""
+    """Return the command that continues the stopped computation of a folder."""
     added = (f"--plugin {shlex.quote(str(path))}" for path in plugins())
     return " ".join([f"giajax {command} --resume {shlex.quote(str(folder))}", *added])
 
@@ -456,7 +457,7 @@ _SETTINGS |= {"window": "window_s", "windows_first": "windows_first_s"}
 
 
 class Settings(TypedDict):
-    """The options of `giajax.recordings.FitSettings`, which would take pydantic to import."""
+    """Options of `giajax.recordings.FitSettings`, repeated here because pydantic loads slowly."""
 
     free: Annotated[Texts, "PATH", "Fit this parameter instead of the default parameters."]
     start: Annotated[Texts, "PATH=VALUE", "Initial value of a parameter."]
@@ -504,7 +505,7 @@ class Settings(TypedDict):
     loss: Annotated[
         str | None,
         "NAME",
-        "Loss function; huber, soft_l1 or student_t for outliers. [default: linear]",
+        "Loss function, such as huber, soft_l1 or student_t for outliers. [default: linear]",
     ]
     noise_model: Annotated[
         str | None, "NAME", "Noise model: correlated or white. [default: correlated]"
@@ -527,7 +528,7 @@ class Settings(TypedDict):
 
 
 def typed(given: Settings) -> "TaskKeywords":
-    """The settings that were typed, as keywords of `FitTask.on_top`."""
+    """Return the given settings as keywords of `FitTask.on_top`."""
     said: Any = {
         _SETTINGS.get(name, name): _READERS[name](value) if name in _READERS else value
         for name, value in cast("dict[str, Any]", given).items()
@@ -542,7 +543,7 @@ def named_task(
     resume: Path | None,
     has_data: bool,
 ) -> "FitTask":
-    """The task of a fit definition, of a result, of a journal, or of data alone."""
+    """Return the task of a fit definition, of a result, of a journal, or of data only."""
     from ..recordings import Definition
     from ..tasks import FitTask
 
@@ -594,15 +595,15 @@ Examples:
 
 `giajax parameters` lists the names and units of parameters. A parameter with
 several elements takes one VALUE for all, or one for each: camera.origin=0.1,0,0.
-The table and the summary are printed to standard output, the progress to
-standard error.
+The table and the summary are printed to standard output. The progress is
+printed to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
-written and says so); 2 bad input or usage; 3 with --strict, if the model
-does not describe the data or is doubtful; 4 another error; 130
-interrupted, 143 SIGTERM, 129 terminal closed (the best point
-so far is written). A second Ctrl-C ends the program at once.
+written and marked as not converged); 2 bad input or usage; 3 with --strict,
+if the model does not describe the data or is doubtful; 4 another error;
+130 interrupted, 143 by SIGTERM, 129 if the terminal was closed (the best
+point so far is written). A second Ctrl-C ends the program at once.
 
 DIR/journal.jsonl records every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR continues from the last step and gives the same
@@ -648,7 +649,7 @@ def fit(
     """Fit parameters to runs.
 
     Without further options, fits the drag coefficient, pitch and yaw stiffness and damping of an
-    arm. The columns of the runs determine the model, and their sidecars its constants.
+    arm. The columns of the runs determine the model. Their sidecars determine its constants.
     """
     from ..recordings import parse_rename
 
@@ -665,7 +666,7 @@ def fit(
         origin="the command line",
     )
     if not task.data:
-        where = f"{task.source} states no data" if task.source else "no data are given"
+        where = f"{task.source} specifies no data" if task.source else "no data are given"
         raise typer.BadParameter(f"{where}: give at least one run with --data RUN.csv")
 
     if resume is not None and task.out.resolve() != resume.resolve():

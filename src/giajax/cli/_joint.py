@@ -1,4 +1,4 @@
-"""`giajax joint` and `compensate`: one joint at rest, and commands that undo its hysteresis."""
+"""`giajax joint` and `compensate`: one joint at rest, and compensation of its hysteresis."""
 
 import dataclasses
 import math
@@ -34,11 +34,11 @@ _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 @command(
     """\b
 Examples:
-  giajax joint --out joint  draw the preset, and write tables
+  giajax joint --out joint  draw the preset, and write its tables
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
                             use another torque, and draw three angles
   giajax joint joint.toml --out joint --target-angle 30
-                            use your joint; compute pressures for 30 deg
+                            use your joint and a target angle of 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
                             use another parameter value
   giajax joint --out joint --set neck.radius=0.06 --force
@@ -47,7 +47,7 @@ Examples:
 \b
 The command writes
   fig09.png, fig09.csv    contraction and force, without corrections
-  fig10.png, fig10.csv    the same with alpha and beta
+  fig10.png, fig10.csv    the same, with alpha and beta
   corrections.png, .csv   alpha and beta, as corrected and as printed
   joint.png, points.csv   the joint at a few angles, and its marked points
   equilibria.png, .csv    equilibria for two pressures, and their stiffness
@@ -91,7 +91,7 @@ def joint(
     check_output_folder(out, JOINT_FILES, force=force)
     pair = _pair(sections, values, torque)
     if not quiet:
-        typer.echo("drawing figures, and computing all equilibria ...", err=True)
+        typer.echo("drawing figures and computing all equilibria ...", err=True)
     write_folder(out, joint_files(pair, angles, target_angle), force=force)
     if not quiet:
         _show(pair, target_angle)
@@ -99,7 +99,7 @@ def joint(
 
 
 def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
-    """The joint and muscle of the sections, with the parameters that were set."""
+    """Return the joint and muscle of the sections, with the given parameters."""
     from ..mechanics.joint import JointPair, check_geometry
     from ..models import MuscleModel, joint_from_section
     from ..schema import MuscleSection
@@ -112,15 +112,15 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
     }
     for key in (key for key, is_there in unused.items() if is_there):
         raise InputError(
-            f"[muscle] {key} is not used here, because the length is muscle_length_m of [joint] "
-            "and a pair of muscles has no friction: remove this key"
+            f"[muscle] {key} is not used here, because muscle_length_m of [joint] gives the length "
+            "and the muscles of a pair have no friction: remove this key"
         )
     pair = JointPair(joint_from_section(sections), MuscleModel.from_section(muscle).muscle)
     if torque is not None and not 0 < torque < math.inf:
-        raise InputError(f"--torque is {torque:g}: give a positive number of N m")
+        raise InputError(f"--torque is {torque:g}: give a positive torque in N m")
     values = {} if torque is None else {"joint.torque": [torque]}
     for path, each in typed.items():
-        # The joint's own paths need no prefix, as in a fit of a joint.
+        # Paths of the joint itself need no prefix, as in a fit of a joint.
         values[path if path.startswith(("joint.", "muscle.", "neck.")) else f"joint.{path}"] = each
     pair = with_settings(pair, values)
     alone = next((path for path in typed if path.startswith("neck.")), None)
@@ -133,7 +133,7 @@ def _pair(sections: "Definition", typed: Values, torque: float | None) -> Any:
 
 
 def _show(pair: Any, target: float) -> None:
-    """What a person wants to know first: branches, pressures and every equilibrium."""
+    """Print an overview: branches, pressures and all equilibria."""
     import numpy as np
 
     from ..mechanics.joint import branch_angles, equilibria, pair_command
@@ -161,7 +161,7 @@ def _show(pair: Any, target: float) -> None:
         if is_there:
             print(f"the torque also drives the joint against its stop at {end} deg")
     if rests.indifferent:
-        print("no torque acts on the joint in a range of angles, so each angle is an equilibrium")
+        print("no torque acts on the joint in a range of angles, so all of these are equilibria")
 
 
 @command(
@@ -191,8 +191,8 @@ def compensate(
     travel: Annotated[
         float | None,
         "TRAVEL",
-        "With --loop: travel for a change of branch, in the unit of the target. [default: a third "
-        "of the range]",
+        "With --loop: travel over which the branch changes, in the unit of the target. [default: a "
+        "third of the range]",
     ] = None,
     rename: Renamed = None,
     digits: Digits = 9,
@@ -201,8 +201,8 @@ def compensate(
 ) -> None:
     """Compute the commands that reach target outputs.
 
-    A fit is inverted; the inverse is exact for Prandtl-Ishlinskii and its
-    modified form. With --loop, eq. (12) of the paper is used.
+    A fit is inverted. The inverse is exact for the Prandtl-Ishlinskii operator and its modified
+    form. With --loop, eq. (12) of the paper is used.
     """
     if (result is None) == (loop is None):
         raise typer.BadParameter(
@@ -234,10 +234,10 @@ def compensate(
         across = None if travel is None else float(goal.to_si(travel))
         compensator = compensator_for_loop(read_run(loop, rename=renamed), across)
         how = f"eq. (12) from {loop.name}"
-    origin = f"commands by giajax compensate, {how}, for {target.name}"
+    origin = f"commands for {target.name}, computed by giajax compensate ({how})"
     commands = compensator.commands_for(plan)
     channel = compensator.input_channel
-    # Commands in the unit of the target, where both are angles.
+    # Write the commands in the unit of the target if both are angles.
     if goal.quantity == channel.quantity:
         channel = dataclasses.replace(channel, unit=goal.unit)
     values, units = {channel.name: commands}, {channel.name: channel.unit}

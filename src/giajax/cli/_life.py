@@ -1,4 +1,4 @@
-"""`giajax life`: an arm unrolled, filled, raised, flown on its mission and deflated."""
+"""`giajax life`: an arm is unrolled, filled, raised, flown on its mission and deflated."""
 
 import sys
 from pathlib import Path
@@ -41,12 +41,12 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  life.json, life.csv     each phase: time, gas, lift, margin, energy
+  life.json, life.csv     time, gas, lift, margin and energy of each phase
   life.png                gas, pressures and work as a figure
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run
 
-MISSION is a file as for giajax mission. The sections [unrolling] and [filling]
+MISSION is a mission file, as for giajax mission. The sections [unrolling] and [filling]
 of this file set the properties of the roll and of the gas supply.""",
     group="arm",
     pictures=True,
@@ -64,9 +64,9 @@ def life(
 ) -> None:
     """Unroll, fill, raise, fly and deflate an arm in one run.
 
-    Gas is fed until every link withstands the pull of a muscle. The mission is flown with the
-    pressures reached then. Reports time, gas and energy of each phase, and the balances of helium,
-    energy and momentum.
+    Gas is fed until every link withstands the pull of a muscle. The mission is flown at the
+    pressures reached at that time. Reports time, gas and energy of each phase, and the balances of
+    helium, energy and momentum.
     """
     from ..recordings import Definition, check_output_folder, write_run
 
@@ -89,7 +89,7 @@ def life(
     names = (*LIFE_FILES, *_RUN, *([_PAGE] if paged else []))
     if out is not None:
         check_output_folder(out, names, force=force)
-    # What an arm does not have is of the roll or of the gas.
+    # Parameters that are not those of the arm belong to the roll or the gas.
     groups = (GAS, SKIN, PORTS, SUPPLY, ROLL, FILM, HAND)
     others = {each.path for group in groups for each in group}
     own = {path: value for path, value in values.items() if path.partition("[")[0] in others}
@@ -120,7 +120,7 @@ def life(
 
 
 def _show(life: "Life") -> None:
-    """A row for each phase, and what is so of the whole."""
+    """Print a row for each phase, and the results for the whole life."""
     rows = []
     for each in life.phases:
         rows.append(
@@ -146,16 +146,16 @@ def _show(life: "Life") -> None:
         how = f"the tip is inside after {outcome.reached:.1f} s of the mission"
     typer.echo(f"\n{how}; total duration {life.duration / 60:.1f} min")
     _, _, feed, _, mission, *_ = life.phases
-    fed = f"after feeding for another {feed.end - feed.begin:.1f} s"
+    fed = f"after gas was fed for another {feed.end - feed.begin:.1f} s"
     holds = f"every link withstands the maximum pull of a muscle ({life.pull:.1f} N) {fed}"
     if mission.margin < 0:
         holds += f", but during the mission link {mission.weakest} does not withstand it"
     typer.echo(holds)
     typer.echo(
-        f"relative imbalance: helium {life.helium:.1e} (of the filled arm), energy "
-        f"{life.energy_imbalance:.1e} (of the exchange), momentum {life.momentum_imbalance:.1e}"
+        f"relative imbalance: {life.helium:.1e} of the helium, {life.energy_imbalance:.1e} of the "
+        f"exchanged energy, {life.momentum_imbalance:.1e} of the impulses"
     )
     typer.echo(
-        "the balances of the mission are from a repeated simulation, which gives the same angles "
-        f"within {life.apart:.1e} rad"
+        "the balances of the mission are from a second simulation, whose angles agree to within "
+        f"{life.apart:.1e} rad"
     )

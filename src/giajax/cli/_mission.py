@@ -1,4 +1,4 @@
-"""`giajax mission`: an arm is brought to an opening, or held before it, once or many times."""
+"""`giajax mission`: an arm moves to an opening, or stays in front of it, once or many times."""
 
 import math
 import shlex
@@ -35,7 +35,7 @@ def tell(
     mission: "Mission", outcome: "Outcome", out: Path | None, origin: str, *,
     as_json: bool, force: bool, quiet: bool,
 ) -> None:  # fmt: skip
-    """Tell and write what came of one mission."""
+    """Print and write the result of one mission."""
     from ..apps.mission import mission_files, mission_json, recorded
     from ..recordings import write_run
 
@@ -53,7 +53,7 @@ def tell(
         shown = [f"{n:.{d}f}" for n, d in zip(numbers, (1, 1, 2, 2), strict=True)]
         cells = [", ".join(map(str, each.links)), *shown] if each.links else [None] * 5
         rows.append([each.obstacle, *cells])
-    print_table(["obstacle", "links", "for s", "flattened mm", "most N", "N s"], rows)
+    print_table(["obstacle", "links", "for s", "flattened mm", "max N", "N s"], rows)
     wind = mission.section.wind.speed_m_per_s
     if not mission.enters and math.isfinite(outcome.swing):
         away = mission.opening.centre - outcome.station
@@ -82,7 +82,7 @@ def tell_cases(
     force: bool,
     quiet: bool,
 ) -> None:
-    """Tell and write what came of many missions."""
+    """Print and write the results of many missions."""
     from ..apps.mission import CASES_FILES, cases_files, cases_json
 
     if out is not None:
@@ -102,7 +102,7 @@ def tell_cases(
         )
         for tally in cases.tallies
     ]
-    headings = ["m/s", "inside", "median s", "touched", "flattened mm", "why not"]
+    headings = ["m/s", "inside", "median s", "touched", "flattened mm", "failures"]
     print_table(headings, rows)
     typer.echo(f"\ncomputing time {cases.seconds:.2f} s per mission")
     if out is not None:
@@ -110,17 +110,17 @@ def tell_cases(
 
 
 _RUN = ("run.csv", "run.toml")
-_LONGEST = 3600.0  # s before the opening
-_CASES = 200  # for a recording
+_LONGEST = 3600.0  # Longest time in front of the opening, s.
+_CASES = 200  # Default number of cases with a recording.
 _SPEEDS = "0,0.05,0.1,0.15,0.2,0.25,0.3"
-_RANGE = "0,0.6"  # of a recording
+_RANGE = "0,0.6"  # Default range of speeds with a recording.
 
 
 @command(
     """\b
 Examples:
   giajax mission missions/naraha.toml
-                            fly once in the wind of the file
+                            fly once in the wind given in the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
                             use another wind, and write files and a run
   giajax mission missions/naraha.toml --controller mpc
@@ -132,12 +132,12 @@ Examples:
   giajax view flown/run.csv
                             show the run in a browser
   giajax mission missions/naraha.toml --cases 100 --speeds 0,0.1,0.2,0.3
-                            compute the success rate against the wind speed
+                            compute the success rate versus the wind speed
   giajax mission missions/naraha.toml --from-recording resting.csv
                             estimate the probability of success from a
                             recording of the arm at rest
   giajax mission missions/naraha.toml --case 17 --speed 0.3 --out flown
-                            repeat one of the missions of --cases
+                            repeat one of the missions flown with --cases
 
 \b
 With --out DIR, the command writes
@@ -145,7 +145,7 @@ With --out DIR, the command writes
   run.csv, run.toml           commands, wind and tip as a run
 or, for many missions,
   cases.json, cases.csv, cases.png
-                              success rate and time against the wind
+                              success rate and time versus wind speed
 or, with a recording,
   certificate.json, certificate.csv, certificate.png
                               probability, and the missions it is based on
@@ -168,9 +168,11 @@ def mission(
     file: Annotated[Path, argument("MISSION", "Mission file; see below.")],
     speed: Annotated[float | None, "M/S", "Wind speed. [default: from the file]"] = None,
     seed: Annotated[
-        int, "N", "Seed of gusts and pixel noise; with --cases, the first seed.", 0
+        int, "N", "Seed of gusts and pixel noise. With --cases, the first seed.", 0
     ] = 0,
-    case: Annotated[int | None, "N", "Repeat the mission of --cases with this seed.", 0] = None,
+    case: Annotated[
+        int | None, "N", "Repeat the mission that --cases flew with this seed.", 0
+    ] = None,
     controller: Annotated[str, "NAME", "Controller: operator or mpc."] = "operator",
     keep_station: Annotated[
         float | None, "S", "Hold the tip in front of the opening for this time."
@@ -185,7 +187,7 @@ def mission(
     cases: Annotated[
         int | None,
         "N",
-        "Number of missions: for each wind speed, or in total with --from-recording (default 200).",
+        "Number of missions for each wind speed, or in total with --from-recording (default 200).",
         1,
     ] = None,
     speeds: Annotated[
@@ -201,11 +203,11 @@ def mission(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Steer an arm to an opening by camera, or hold it there.
+    """Steer an arm to an opening with a camera, or hold it there.
 
     The camera is at the tip. As in the paper's mock-up, there are gusts, joint hysteresis, image
-    delay and a time limit. One mission is written as a run for `giajax view`; many missions give
-    the success rate against the wind speed.
+    delay and a time limit. A single mission is written as a run for `giajax view`. Many missions
+    give the success rate versus the wind speed.
     """
     from ..recordings import (
         Definition,
@@ -225,7 +227,9 @@ def mission(
     if speed is not None and not 0 <= speed < math.inf:
         raise InputError(f"--speed is {speed:g}: give a number of at least 0")
     if keep_station is not None and not 1 <= keep_station <= _LONGEST:
-        raise InputError(f"--keep-station is {keep_station:g}: give seconds from 1 to {_LONGEST:g}")
+        raise InputError(
+            f"--keep-station is {keep_station:g}: give a time from 1 to {_LONGEST:g} s"
+        )
     alone = ("--speed", speed), ("--page", page), ("--case", case), ("--keep-station", keep_station)
     many = (("--from-recording", resting_run), ("--cases", cases))
     other = next((option for option, given in many if given is not None), None)
@@ -318,15 +322,16 @@ def tell_certificate(
     force: bool,
     quiet: bool,
 ) -> None:
-    """Tell and write the chance of a mission, and where that comes from."""
+    """Print and write the probability of success of a mission, and its basis."""
     from ..apps.mission import CERTIFICATE_FILES, certificate_files, certificate_json
 
     if out is not None:
         write_folder(out, certificate_files(mission, found, **origin), force=force)
     if found.unlike and not quiet:
         typer.echo(
-            "note: the recording resembles none of the simulated arms at rest, because the arm "
-            "differs from the file or the wind exceeds --speeds: do not rely on the probability",
+            "note: the recording does not resemble any of the simulated arms at rest, because the "
+            "arm differs from the file or the wind exceeds --speeds: do not rely on the "
+            "probability",
             err=True,
         )
     if as_json:
@@ -338,24 +343,24 @@ def tell_certificate(
     inside = sum(case.reached is not None for case in found.near)
     typer.echo(
         f"{inside} of the {len(found.near)} missions with the most similar motion at rest (of "
-        f"{len(found.cases)}) are successful; wind: median {middle:.2f} m/s, smallest {least:.2f}, "
-        f"largest {most:.2f}\n\n"
+        f"{len(found.cases)}) are successful. The wind speed in these missions is {least:.2f} to "
+        f"{most:.2f} m/s, with a median of {middle:.2f} m/s.\n\n"
         f"probability of success within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
-        f"(95 %: {low:.0f} to {high:.0f} %)"
+        f"(95 % interval: {low:.0f} to {high:.0f} %)"
     )
     if out is not None:
         say_written(out, CERTIFICATE_FILES)
 
 
 def _check_all_flown(done: int, whole: int) -> None:
-    """Leave with the status of Ctrl-C where that ended the flights."""
+    """End with the status of Ctrl-C if it ended the flights."""
     if done < whole:
         typer.echo(f"stopped after {done} of {whole} missions", err=True)
         raise typer.Exit(130)
 
 
 def _progress() -> Callable[[int, int], None] | None:
-    """Says how many were flown, if the output is shown."""
+    """Return a function that prints the number of finished missions; None without a terminal."""
 
     def say(done: int, whole: int) -> None:
         end = "\n" if done == whole else ""

@@ -1,4 +1,4 @@
-"""`giajax mjcf`: arms for MuJoCo, and from it."""
+"""`giajax mjcf`: conversion of arms to and from MuJoCo files."""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,15 +17,15 @@ _THEIRS = (".xml", ".mjcf", ".urdf")
     """\b
 Examples:
   giajax mjcf robot.xml --to arm.toml
-                            the arm of a MuJoCo file
+                            convert the arm of a MuJoCo file
   giajax mjcf robot.urdf --diameter 0.05
-                            the arm of a URDF without geoms, as text
+                            print the arm of a URDF file without geoms
   giajax mjcf arm.toml --to arm
-                            an arm for MuJoCo, into the folder arm
+                            write an arm for MuJoCo to the folder arm
   giajax mjcf giajax-out/run --to arm
-                            the arm of a fit
+                            convert the arm of a fit
 
-A MuJoCo file is converted to the [arm] section of a sidecar; an arm, or a fit
+A MuJoCo file is converted to the [arm] section of a sidecar. An arm, or a fit
 of an arm, is converted to a folder with the files
 
 \b

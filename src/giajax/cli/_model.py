@@ -1,4 +1,4 @@
-"""`giajax parameters` and `predict`, and the model that a command is given, in all alike."""
+"""`giajax parameters` and `predict`, and the model that any command is given."""
 
 import json
 import shlex
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 
 
 def is_result(path: Path) -> bool:
-    """Whether this is a fit: its folder, or its result.json."""
+    """Return whether the path is a fit: its folder or its result.json."""
     return path.is_dir() or path.suffix == ".json"
 
 
 def definition_of(path: Path | None) -> "Definition":
-    """What a file that states a model says on top of the sidecars; nothing of a fit."""
+    """Return what a model file adds to the sidecars; empty for a fit."""
     from ..recordings import Definition, stored_result
 
     if path is None:
@@ -47,7 +47,7 @@ def definition_of(path: Path | None) -> "Definition":
             "that defines a model"
         )
     if is_result(path):
-        # What is no result is refused before JAX is imported, which takes seconds.
+        # Reject files that are not results before JAX is imported, which takes seconds.
         stored_result(path)
         return Definition()
     return Definition.load(path)
@@ -58,7 +58,7 @@ DOUBTED = ("inadequate", "doubtful")
 
 
 def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
-    """A line where the model is that of a fit that was doubted, on which something rests."""
+    """Print a warning if `what` depends on a fit with an unreliable verdict."""
     from ..recordings import stored_result
 
     if quiet or path is None or not is_result(path):
@@ -73,7 +73,7 @@ def say_doubts(path: Path | None, what: str, *, quiet: bool) -> None:
 
 
 def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
-    """The model of a fit, or else of the runs, which were read with `definition_of` the file."""
+    """Return the model of a fit, else that of the runs read with `definition_of` the file."""
     from ..fitting import FitResult
 
     found = fit_or_model(path, runs)
@@ -81,7 +81,7 @@ def model_of(path: Path | None, runs: Sequence["Run"]) -> "AbstractModel":
 
 
 def fit_or_model(path: Path | None, runs: Sequence["Run"]) -> "FitResult | AbstractModel":
-    """A fit itself, or else the model of the runs."""
+    """Return the fit itself, else the model of the runs."""
     from ..fitting import load_result
     from ..models import model_for
 
@@ -89,7 +89,7 @@ def fit_or_model(path: Path | None, runs: Sequence["Run"]) -> "FitResult | Abstr
 
 
 def arm_of(path: Path | None, preset: str | None = None, *, quiet: bool = False) -> "Definition":
-    """What the file of an arm says; a line says where neither it nor an option names a preset."""
+    """Return the definition of an arm file; say so if neither it nor an option names a preset."""
     from ..recordings import Definition
     from ..schema import ARM, ArmSection, from_default_preset, preset_sentence
 
@@ -102,7 +102,7 @@ def arm_of(path: Path | None, preset: str | None = None, *, quiet: bool = False)
     return definition
 
 
-_FEW = 3  # an array of more elements is shown by its range
+_FEW = 3  # An array with more different elements is shown by its range.
 
 
 @command(
@@ -120,16 +120,17 @@ Examples:
                             fit some of the parameters
 
 Each value is taken from the preset, the file or the sidecar of the run, or is the
-default. 'off': the parameter is omitted from the model; --start or --free of a
-fit switches it on with the listed value. An array has one element for each
-link or joint; links.mass[0] is the first element of links.mass.
-'assumed': the paper gives no value; estimate the parameter by a fit.""",
+default. Parameters marked 'off' are omitted from the model. The options --start
+and --free of giajax fit switch such a parameter on with the listed value. An
+array has one element for each link or joint. For example, links.mass[0] is the
+first element of links.mass. For parameters marked 'assumed', the paper gives no
+value: estimate them by a fit.""",
     group="data",
     old_words="--data",
 )
 def parameters(
     data: Annotated[
-        Path | None, "RUN.csv", "A run whose model is listed. [default: the arm]"
+        Path | None, "RUN.csv", "List the parameters of this run's model. [default: the arm]"
     ] = None,
     arm: Annotated[Path | None, "FILE.toml", "TOML file of the arm and its sensors."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [default: takeichi_20m]"] = None,
@@ -143,7 +144,7 @@ def parameters(
     from ..recordings import Definition, read_run
 
     if data is not None and (arm or preset or links is not None):
-        raise InputError("a run determines its model: omit --arm, --preset and --links")
+        raise InputError("the run of --data determines the model: omit --arm, --preset and --links")
     recorded = None if data is None else read_run(data)
     definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}
@@ -203,10 +204,13 @@ def _row(fact: dict[str, Any]) -> list[Any]:
 
 
 def _value(fact: dict[str, Any]) -> str:
-    """Of an array the one number that all elements share, or a few, or else their range."""
+    """Format a value.
+
+    An array is shown as the one number that all elements share, as a few numbers, or as a range.
+    """
     value, default = fact["value"], fact["default"]
     elements = value if isinstance(value, list) else [default if value is None else value]
-    # A value is converted and computed, and shows it in its last digits; a default does not.
+    # Unit conversion and computation affect the last digits of a value, but not those of a default.
     shown = {number: f"{number:.{10 if number == default else 7}g}" for number in elements}
     if len(shown) == 1:
         return shown[elements[0]]
@@ -223,9 +227,9 @@ def _bounds(lower: float | None, upper: float | None) -> str:
 
 
 def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
-    """Columns of a fit under other names that these files have, too.
+    """Return the renamed columns of a fit that also occur in these files.
 
-    A name that has a meaning of its own may be right in another file than those that were fitted.
+    A name that has its own meaning may be correct in files other than those that were fitted.
     """
     from ..recordings import column_names, parse_column
     from ..tasks import checksums_of
@@ -253,18 +257,19 @@ def _as_fitted(stored: dict[str, Any], data: Sequence[Path]) -> dict[str, str]:
     """\b
 Examples:
   giajax predict giajax-out/run --data other.csv
-                            compute how well a fit predicts another run
+                            evaluate how well a fit predicts another run
   giajax predict giajax-out/triple_pendulum --against published.toml \\
       --data validation_01.csv --data validation_02.csv
-                            predict two runs; compare with another model
+                            predict two runs, and compare with another model
   giajax predict my_arm.toml --data run.csv --refit-initial --to errors.csv
-                            fit the initial state first; write a table
+                            fit the initial state first, and write a table
   giajax predict giajax-out/run --data other.csv --without camera,wind
-                            predict a run with another camera and wind
+                            predict a run with a different camera and wind
 
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] (or
-other section) states a model with all its parameters.
---without names parameters that are taken from the sidecar of the run or omitted.
+MODEL is the folder of a fit, its result.json, or a TOML file in which the [arm]
+section (or the section of another model) describes a model with all its
+parameters. --without lists parameters that are not taken from MODEL: the
+sidecar of the run gives their values, or they are omitted.
 A NAME is a group of parameters (camera, encoder, marker), a path, or the last
 part of a path.""",
     group="fit",
@@ -273,7 +278,7 @@ part of a path.""",
 def predict(
     model: Annotated[Path, argument("MODEL", "Model; see below.")],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
-    against: Annotated[Path | None, "MODEL", "Another model, whose errors are compared."] = None,
+    against: Annotated[Path | None, "MODEL", "Compare the errors with those of this model."] = None,
     config: Annotated[
         Path | None,
         "FILE.toml",
@@ -291,8 +296,8 @@ def predict(
 ) -> None:
     """Predict runs, and print the RMSE of each channel.
 
-    The sidecars or the fit definition state the initial state; first_row = true in
-    [initial] takes it from the first row.
+    The sidecars or the fit definition specify the initial state. With first_row = true in
+    [initial], it is taken from the first row.
     """
     check_quiet(quiet, written=to, by="--to TABLE.csv")
     from ..recordings import (
@@ -312,7 +317,7 @@ def predict(
             f"{model} is not a fit, and --without applies only to fits: omit --without"
         )
     sections = {} if config is None else Definition.load(config).contents()
-    # What it says of the model is that of the fit, which `model` states already.
+    # The parts that describe the model come from the fit, which `model` already gives.
     about = ("model", *run_keys(model=False), "fit")
     sections = {key: value for key, value in sections.items() if key in about}
     if channels:

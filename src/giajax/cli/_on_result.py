@@ -1,7 +1,7 @@
-"""The frame of commands on a result: what all of them are given, and what they do with a record.
+"""Framework of the commands on a result: their shared options, and the output of their records.
 
-Such a command has its own options, calls its study and hands over the record; how that is shown
-is known by its type (`giajax.report.RecordView`).
+Such a command has its own options, calls its study and passes on the record. The type of the record
+determines how it is shown (`giajax.report.RecordView`).
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ _RESULT = Annotated[Path, argument("RESULT", "A fit; see below.")]
 
 @dataclasses.dataclass(frozen=True)
 class OnResult:
-    """What a command on a result is given, by option, or as it is here where it has none."""
+    """Shared options of the commands on a result; defaults for options that a command lacks."""
 
     result: Path
     data: list[Path] | None = None
@@ -59,21 +59,21 @@ class OnResult:
 
     @functools.cached_property
     def home(self) -> Path:
-        """The folder of the result; where there is none, JAX is not imported to refuse it."""
+        """The folder of the result; a missing result is rejected before JAX is imported."""
         from ..recordings import stored_result
 
         return stored_result(self.result)[0]
 
     @functools.cached_property
     def renamed(self) -> Mapping[str, str]:
-        """What columns of the files are read as."""
+        """New names of columns of the files."""
         from ..recordings import parse_rename
 
         return parse_rename(self.rename or [])
 
     @functools.cached_property
     def fitted(self) -> "FitResult":
-        """The result; what can be refused without JAX is refused first."""
+        """The result; errors that can be found without JAX are raised first."""
         _ = self.home, self.renamed
         configure()
         from ..fitting import load_result
@@ -82,15 +82,15 @@ class OnResult:
 
     @functools.cached_property
     def runs(self) -> "list[Run]":
-        """What was fitted."""
+        """The fitted runs."""
         from ..tasks import fitted_runs
 
         return fitted_runs(self.fitted, self.data or [], rename=self.renamed, folder=self.home)
 
     def computed(self, study: Callable[..., Any], what: str, **settings: Any) -> Any:
-        """What a study of the fit finds, by the workers that were asked for.
+        """Return the result of a study of the fit, computed by the requested workers.
 
-        Its tasks are called `what`; settings may also stand for `folder` and `progress`.
+        `what` is the name of its tasks. The settings may override `folder` and `progress`.
         """
         from ..runtime.execution import open_executor
 
@@ -100,9 +100,9 @@ class OnResult:
             return study(fitted, runs, executor=executor, **{**usual, **settings})
 
     def record(self, study: str, *, most: int | None = None, **settings: Any) -> None:
-        """Compute a record, write it beside the result, with its picture, and show it.
+        """Compute a record, write it and its figure beside the result, and show it.
 
-        The study is a function of `giajax.studies`; the file is `STUDY.json`.
+        The study is a function of `giajax.studies`. The file is `STUDY.json`.
         """
         path = self.checked(study)
         fitted = self.fitted
@@ -114,12 +114,12 @@ class OnResult:
         end_if_stopped(self.folder)
 
     def checked(self, study: str) -> Path:
-        """The file of a study, which may be written: in `out`, or else beside the result."""
+        """Return the file of a study after a check; it is in `out`, or else beside the result."""
         from ..recordings import check_output_folder
 
         path = (self.home if self.out is None else self.out) / f"{study}.json"
         if self.out is not None and self.out.suffix == ".json":
-            path = self.out  # the file itself, as long as old forms work
+            path = self.out  # The path of the file itself, while old forms are accepted.
         pictures = [path.with_suffix(".png").name] if self.figures else []
         check_output_folder(path.parent, [path.name, *pictures], force=self.force)
         return path
@@ -127,7 +127,7 @@ class OnResult:
     def finish(
         self, found: Any, files: Mapping[Path, bytes], *, force: bool, most: int | None = None
     ) -> None:
-        """Write files, and print a record."""
+        """Write files and print a record."""
         from ..recordings import make_folder, write_files
 
         for folder in {path.parent for path in files}:
@@ -140,7 +140,7 @@ class OnResult:
             self.say_written(next(iter(files)).parent, [path.name for path in files])
 
     def say_written(self, folder: Path, names: Iterable[str]) -> None:
-        """Say which files were written, and, of those beside the result, what shows them."""
+        """Print which files were written, and how to show those beside the result."""
         say_written(folder, names)
         if folder == self.home:
             there = ["--force"] if (folder / "report.html").exists() else []
@@ -150,7 +150,7 @@ class OnResult:
 def record_files(
     found: Any, result: "FitResult", path: Path, *, figures: bool
 ) -> dict[Path, bytes]:
-    """A record as a file, and its picture beside it."""
+    """Return the file of a record, and its figure beside it."""
     from ..report import to_png, view_of
 
     files = {path: found.to_json().encode()}
@@ -186,9 +186,9 @@ def on_result(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a function of `OnResult` and its own options a command on a result.
 
-    The options `folder`, `out`, `page` and `figures` are what the help says of them, and there are
-    none without. It has `workers` where it has tasks, and draws `pictures` where it has `figures`
-    or always. All others are as of `command`.
+    The arguments `folder`, `out`, `page` and `figures` are the help texts of these options, which
+    exist only if a text is given. A command with tasks has `workers`. A command with `figures`, or
+    one that always draws, has `pictures`. All other arguments are those of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
         (

@@ -1,4 +1,4 @@
-"""`giajax paper` and `hysteresis`: the paper's figures, tables and 1-link experiment."""
+"""`giajax paper` and `hysteresis`: the paper's figures and tables, and a 1-link experiment."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -22,7 +22,7 @@ from ._commands import (
     write_folder,
 )
 
-# As `giajax.apps.paper` has them, which would import JAX for a help text.
+# The same names as in `giajax.apps.paper`, whose import would load JAX for a help text.
 NAMES = ("fig5", "fig6", "fig9", "fig10", "fig12", "fig19", "table3")
 _ALL = "all"
 INVERSE = "table3_inverse"
@@ -35,25 +35,25 @@ Examples:
   giajax paper fig5 --out paper
                             write one figure, its data and their source
   giajax paper all --out paper
-                            write everything and index.html; the same command
-                            continues it after it was stopped
+                            write everything and index.html; repeat the
+                            command to continue after an interruption
   giajax paper table3 --inverse --out paper
                             search for arms that give the printed table
 
 \b
 NAME is
   fig5      links 6, 12 and 20 after a step of the base, with and without air
-  fig6      the controller in the whole arm, with muscles and with springs
+  fig6      the whole arm with its controller, with muscles and with springs
   fig9      contraction and force of a muscle in a joint, without corrections
-  fig10     the same with alpha and beta
+  fig10     the same, with alpha and beta
   fig12     one link with hysteresis, without and with compensation
-  fig19     links 2, 6, 12 and 20 in models, and a stand-in for the experiment
-  table3    agreement of the models with the stand-in: concordance with and
-            without air; --inverse searches for arms that give the values
-            printed in the paper (many minutes)
+  fig19     links 2, 6, 12 and 20 in the models and in a simulated experiment
+  table3    concordance of the models with this experiment, with and without
+            air; --inverse searches for arms that give the values printed in
+            the paper (many minutes)
 
-Each figure or table is written to NAME.png, NAME.csv and NAME.json, and states
-which values are printed in the paper, assumed or reconstructed.""",
+Each figure or table is written to NAME.png, NAME.csv and NAME.json. The JSON file
+records which values are printed in the paper, assumed or reconstructed.""",
     group="paper",
     pictures=True,
 )
@@ -66,12 +66,14 @@ def paper(
 ) -> None:
     """Reproduce a figure or a table of the paper.
 
-    Uses the public functions of giajax, which also apply to your own arm.
+    Uses public functions of giajax, which you can also apply to your own arm.
     """
     from ..recordings import check_output_folder
 
     if name not in (*NAMES, _ALL):
-        raise InputError(f"there is no figure '{name}': use one of {', '.join(NAMES)}, {_ALL}")
+        raise InputError(
+            f"the figure '{name}' does not exist: use one of {', '.join(NAMES)}, {_ALL}"
+        )
     if inverse and name != "table3":
         raise InputError(
             f"--inverse applies to table3 only, not to {name}: omit --inverse, or give table3"
@@ -86,11 +88,11 @@ def paper(
     if name == _ALL and not force:
         kept = {each: record for each in names if (record := stored_record(out, each))}
         names = tuple(each for each in names if each not in kept)
-        # The page of figures that were made before is this command's own, if it made it.
+        # An existing page may be overwritten only if this command wrote it.
         own_page = bool(kept) and is_reproduction_page(out / _PAGE)
         check_output_folder(out, [*_files(names), *([] if own_page else [_PAGE])])
         if kept and not quiet:
-            text = f"{', '.join(kept)}: complete, and kept (--force computes them again)"
+            text = f"already complete: {', '.join(kept)} (use --force to compute them again)"
             typer.echo(text, err=True)
     made = _made(names, out, force=force, quiet=quiet)
     written = _files(names)
@@ -115,7 +117,7 @@ def _files(names: Iterable[str]) -> list[str]:
 def _made(
     names: Sequence[str], out: Path, *, force: bool, quiet: bool
 ) -> dict[str, dict[str, Any]]:
-    """Make figures, write each as it is made, and return their records by name."""
+    """Make figures, write each one at once, and return their records by name."""
     from ..apps.paper import reproduce, reproduced_files, reproduced_record
     from ._data import examples_root
 
@@ -136,13 +138,13 @@ def _made(
     """\b
 Examples:
   giajax hysteresis --out fig12
-                            the experiment, as files
+                            run the experiment, and write its files
   giajax hysteresis --out fig12 --travel 20 --force
-                            with another travel
+                            use a different travel
   giajax fit --data fig12/recording.csv
-                            the fit behind the inverse compensation
+                            repeat the fit for the inverse compensation
   giajax compensate fig12/result.json --target target.csv --to command.csv
-                            other commands from that fit
+                            compute commands for a target of yours
 
 The folder contains fig12.png, its data in fig12.csv, errors.csv, the recording on which both
 compensations are based, and the fit for the inverse compensation.""",
@@ -151,7 +153,9 @@ compensations are based, and the fit for the inverse compensation.""",
 )
 def hysteresis(
     out: Annotated[Path, "DIR", "Folder for the files."],
-    travel: Annotated[float, "TRAVEL", "Travel for a change of branch in eq. (12) (deg)."] = 40.0,
+    travel: Annotated[
+        float, "TRAVEL", "Travel over which the branch changes in eq. (12) (deg)."
+    ] = 40.0,
     seed: Annotated[int, "N", "Seed of the noise.", 0] = 0,
     force: Force = False,
     quiet: Quiet = False,
@@ -177,7 +181,14 @@ def hysteresis(
         errors = [f"{trial.mean:.2f}", f"{trial.largest:.2f}"]
         shares = [f"{trial.mean / none.mean:.0%}", f"{trial.largest / none.largest:.0%}"]
         rows.append([trial.history.name, trial.compensation, *errors, *shares])
-    headings = ["history", "compensation", "mean error deg", "largest deg", "of none", "of none"]
+    headings = [
+        "history",
+        "compensation",
+        "mean error deg",
+        "largest error deg",
+        "mean ratio",
+        "largest ratio",
+    ]
     if not quiet:
         print_table(headings, rows, left=2)
     files = write_one_link(study, out, force=force)

@@ -1,4 +1,4 @@
-"""`giajax plan`: a command that brings an arm to a target as fast or as calmly as can be."""
+"""`giajax plan`: fastest command to a target, or the command of least residual swing."""
 
 import json
 import shlex
@@ -51,14 +51,14 @@ Examples:
                             simulate the fitted arm with the plan
 
 \b
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm. A pose is the equilibrium at the commanded angles; other
-joints are commanded to 0. The command writes
+MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
+section. A pose is the equilibrium at the commanded angles. All other joints
+are commanded to 0. The command writes
   command.csv, command.toml   the command for an operator
   path.csv                    the expected path of the tip, with uncertainty
   plan.json, plan.png         the result, compared with a direct command
-The air is still, and the arm is initially at rest. The largest rate of the
-paper's arm is not published: 2 deg/s is an assumption.""",
+The air is still, and the arm is initially at rest. The paper does not give
+the largest rate of its arm: 2 deg/s is an assumption.""",
     group="plan",
     pictures=True,
 )
@@ -73,7 +73,7 @@ def plan(
     duration: Annotated[
         float | None,
         "S",
-        "Duration of the command when swing is minimised. [default: minimise the time]",
+        "Minimise the swing for this duration of the command. [default: minimise the duration]",
     ] = None,
     max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,
@@ -90,8 +90,8 @@ def plan(
 ) -> None:
     """Plan a command that brings the arm to rest at a target.
 
-    The command is as fast as the limits of angles, rates, pressures and clearance allow, or has the
-    least swing within a duration. It is optimised with derivatives of the simulator.
+    Within limits of angle, rate, pressure and clearance, the command is as fast as possible, or has
+    the least swing for a given duration. It is optimised with derivatives of the simulator.
     """
     from ..recordings import check_output_folder, write_run
 
@@ -145,7 +145,7 @@ def plan(
         _PICTURE: to_png(plan_figure(found)),
     }
     write_folder(out, contents, force=force)
-    # What a file states of the arm stays as it stands there.
+    # The description of the arm in a file is copied unchanged.
     arm = definition.contents().get("arm") or _with_values(found.model)
     times, columns, stated = _run(found, arm, origin(context))
     write_run(out / _COMMAND, times, columns, definition=stated, force=force)
@@ -162,7 +162,7 @@ def plan(
 
 
 def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
-    """Commanded angles of all joints, rad, from JOINT=DEG."""
+    """Return the commanded angles of all joints, rad, from JOINT=DEG."""
     import numpy as np
 
     angles = np.zeros(joints)
@@ -201,7 +201,7 @@ def _target(
 
 
 def _with_values(model: "ArmModel") -> dict[str, Any]:
-    """The arm with its constants and with what a fit finds, as a file states it."""
+    """Return the arm with its constants and the parameters of the fit, in the form of a file."""
     from ..models import preset_of
 
     found, constants = preset_of(model.arm), model.definition()["arm"]
@@ -210,7 +210,7 @@ def _with_values(model: "ArmModel") -> dict[str, Any]:
 
 
 def _run(found: "Plan", arm: Any, by: str) -> tuple[Any, dict[str, Any], dict[str, Any]]:
-    """The planned command as a run: times, columns, and what its sidecar says."""
+    """Return the planned command as a run: times, columns and contents of the sidecar."""
     import numpy as np
 
     row = found.planned

@@ -1,4 +1,4 @@
-"""`giajax sensitivity` and `design`: what an experiment would tell, before it is made."""
+"""`giajax sensitivity` and `design`: expected accuracy of an experiment, and its design."""
 
 import dataclasses
 import math
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from ..studies import Sensitivity
 
 _RATE = 10.0
-# Of what is recorded, SI, by the beginning of its quantity; "angle" has a rate, too.
+# Default noise, SI, by the beginning of the quantity; "ang" includes angular rates.
 _NOISE = {"length": 0.01, "ang": math.radians(0.5), "pixel": 2.0}
 _DEFAULT_RAMP = "1=30"
 _SENSITIVITY_FILES = ("sensitivity.png", "sensitivity.csv", "information.csv")
@@ -120,7 +120,7 @@ def sensitivity(
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if data is not None and any(value is not None and value != [] for value in again):
         raise InputError(
-            "a run determines the arm and the motion: omit the options that describe them"
+            "the run of --data determines the arm and the motion: omit the options for these"
         )
     recorded = None if data is None else read_run(data)
     sections = definition_from_options(arm, links, wind, quiet=quiet)
@@ -166,7 +166,7 @@ def sensitivity(
         sensitivities = along(model, recorded, parameter, names)
     noises = _noise_of(recorded, sensitivities.channels, section)
     files = {name: text.encode() for name, text in sensitivity_files(sensitivities, noises).items()}
-    title = f"{recorded.name}: sensitivity, and information from each body"
+    title = f"{recorded.name}: sensitivity and information from each body"
     files["sensitivity.png"] = to_png(sensitivity_figure(sensitivities, noises, title))
     write_folder(out, files, force=force)
     if not quiet:
@@ -175,7 +175,7 @@ def sensitivity(
 
 
 def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) -> list[float]:
-    """What the options say of the noise, else what the run states, else the usual; SI."""
+    """Return the noise as given by options, else as in the run, else by default; SI."""
     from ..recordings import Channel
 
     noises, options = [], deviations(section, "--noise", channels)
@@ -186,8 +186,7 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
         known = (one for one in (options.get(name), stated, *usual) if one is not None)
         if (deviation := next(known, None)) is None:
             raise InputError(
-                f"the noise of {name} is not stated: state it in [noise] of the run, or with "
-                "--noise"
+                f"the noise of {name} is unknown: give it in [noise] of the run, or with --noise"
             )
         noises.append(deviation)
     return noises
@@ -208,7 +207,7 @@ def _show_sensitivity(
     print_table(["parameter", "value", "expected error", "unit", "most informative"], rows)
 
 
-_KEPT = ("initial", "wind", "noise")  # of a file, beside the arm
+_KEPT = ("initial", "wind", "noise")  # Sections of a file that are kept in addition to the arm.
 
 
 def source_of(
@@ -221,19 +220,19 @@ def source_of(
     *,
     quiet: bool = False,
 ) -> tuple["ArmModel | FitResult", dict[str, Any]]:
-    """The arm or the fit, and what a file says of what is free, priors, ties and the start.
+    """Return the arm or the fit, and the file's free parameters, priors, ties and initial state.
 
-    The options --links, --set and --free go before what the file says.
+    The options --links, --set and --free override the file.
     """
     if source is not None and is_result(source):
         from ..fitting import load_result
         from ..models import capabilities
 
         if links is not None or changed:
-            raise InputError("a fit determines its arm: omit --links and --set")
+            raise InputError("the fit determines the arm: omit --links and --set")
         fitted = load_result(source)
         model = capabilities.with_integration(fitted.model, solver=solver, tolerance=tolerance)
-        # As the definition of the fit would have it, but for noise, which the fit has.
+        # The same as in the definition of the fit, except for noise, which the fit contains.
         first = {**fitted.config["runs"][0], "noise": None}
         known = dict.fromkeys(("free", "priors", "ties"))
         return dataclasses.replace(fitted, model=model), {**known, "definition": _kept(first)}
@@ -242,7 +241,7 @@ def source_of(
     definition = definition_from_options(source, links, None, quiet=quiet)
     fit = definition.fit
     if source is not None and fit.data:
-        # What a fit definition does not say of the arm, the sidecar of its first run does.
+        # Properties of the arm that a fit definition does not contain come from its first run.
         definition = read_sidecar(source.parent / fit.data[0]).merged_with(definition)
     kept = {path: value for path, value in {**fit.start, **fit.fix}.items() if path not in changed}
     started = {path: value if isinstance(value, list) else [value] for path, value in kept.items()}
@@ -256,15 +255,15 @@ def source_of(
 
 
 def _kept(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """What a file says of the start, the wind and the noise, without what only a recording has."""
+    """Return initial state, wind and noise of a file, without what only a recording has."""
     kept = {key: dict(stated[key]) for key in _KEPT if stated.get(key) is not None}
-    # An experiment that is planned has no first row.
+    # A planned experiment has no first row.
     kept.get("initial", {}).pop("first_row", None)
     return {key: section for key, section in kept.items() if section}
 
 
 def _free(model: "ArmModel", fit: "FitSettings") -> list[str] | None:
-    """What the fit of a definition has free, by elements; None where there is none."""
+    """Return the elements that the fit of a definition estimates; None without a fit."""
     from ..schema.parameters import default_free, elements, switched_on
 
     if not fit.contents():
@@ -298,7 +297,7 @@ Examples:
                             simulate the designed experiment
 
 SOURCE is the folder of a fit or its result.json, a fit definition, or a TOML
-file whose [arm] states an arm; the default is the preset. The output files are
+file with an [arm] section. The default is the preset. The output files are
 command.csv (the command for an operator) with its sidecar, design.json and
 design.png.""",
     group="plan",
@@ -349,7 +348,9 @@ def design(
         "Relative uncertainty of the free parameters. [default: from the fit, otherwise 0.2]",
     ] = None,
     draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 1] = 4,
-    worst: Annotated[bool, "Minimise the error of the worst draw, not the mean."] = False,
+    worst: Annotated[
+        bool, "Minimise the error of the worst draw instead of the mean error."
+    ] = False,
     knots: Annotated[
         int | None,
         "N",
@@ -368,8 +369,9 @@ def design(
 ) -> None:
     """Design the next experiment: its command and its markers.
 
-    Within limits of angle, rate and time, it minimises the standard error of chosen parameters,
-    averaged over their present uncertainty. Ctrl-C keeps the best result so far.
+    Minimises the standard error of chosen parameters within limits of angle, rate and time. The
+    error is averaged over the current uncertainty of these parameters. Ctrl-C keeps the best result
+    so far.
     """
     from ..recordings import check_output_folder, stored_result, write_run
 
@@ -378,7 +380,7 @@ def design(
     moving, values = _numbers(joints), settings(pairs)
     check_output_folder(out, _DESIGN_FILES, force=force)
     if source is not None and is_result(source):
-        # What is no result is refused before JAX is imported, which takes seconds.
+        # Reject files that are not results before JAX is imported, which takes seconds.
         stored_result(source)
     configure()
     from ..apps.design import Limits, design_experiment, design_figure, design_json, joint_count
@@ -431,7 +433,7 @@ def _numbers(joints: str) -> tuple[int, ...]:
 
 
 class _Progress:
-    """A line an evaluation on standard error, with the error over that of the first command."""
+    """One line per evaluation on standard error, with the error relative to the first command."""
 
     def __init__(self) -> None:
         typer.echo("compiling ...", err=True)
@@ -440,7 +442,7 @@ class _Progress:
     def __call__(self, evaluation: "Evaluation") -> None:
         if evaluation.number == 1:
             self._first = evaluation.value
-            typer.echo("   n  start    error   best, relative to the base step", err=True)
+            typer.echo("   n  start    error   best  (relative to the base step)", err=True)
         start = evaluation.start or "-"
         shares = [math.exp(v - self._first) for v in (evaluation.value, evaluation.best)]
         typer.echo(
@@ -457,16 +459,16 @@ def _show_design(found: "Design") -> None:
     limits = found.limits
     numbers = ", ".join(str(joint) for joint in limits.joints)
     typer.echo(
-        f"\njoints {numbers} within {math.degrees(limits.angle):g} deg and "
-        f"{math.degrees(limits.rate):g} deg/s for {limits.duration:g} s; "
-        f"film {', '.join(found.designed.markers)}"
+        f"\njoints to move: {numbers}, at most {math.degrees(limits.angle):g} deg and "
+        f"{math.degrees(limits.rate):g} deg/s, for {limits.duration:g} s\n"
+        f"markers to film: {', '.join(found.designed.markers)}"
     )
     typer.echo(f"criterion {found.criterion}: {found.summary()}")
     if found.designed.criterion is None:
-        typer.echo("record more data, free fewer parameters, or state priors")
+        typer.echo("record more data, free fewer parameters, or add priors")
     else:
         low, high = found.spread
         within = f"{low:.2f} to {high:.2f} times the predicted error"
         typer.echo(f"for {found.draws} draws of the uncertain parameters, the error is {within}")
     if found.status == "iteration limit":
-        typer.echo("stopped at the iteration limit: raise --max-iterations")
+        typer.echo("stopped at the iteration limit: increase --max-iterations")

@@ -1,4 +1,4 @@
-"""`giajax shape`: a command after which the arm does not swing."""
+"""`giajax shape`: command with reduced residual swing of the arm."""
 
 import json
 import math
@@ -37,16 +37,16 @@ _PAGE, _PICTURE = "shape.json", "shape.png"
     """\b
 Examples:
   giajax shape command.csv --model giajax-out/run --out shaped
-                            compute ZV, ZVD and EI for the fitted arm
+                            compute ZV, ZVD and EI commands for a fitted arm
   giajax shape command.csv --model my_arm.toml --shaper ZVD --out shaped
-                            use one shaper and the arm of a file
+                            use one shaper and an arm from a file
   giajax synth --data shaped/command_zvd.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
                             simulate the fitted arm with a shaped command
 
 \b
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; the default is the arm of the sidecar. The output files are
+MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
+section. The default is the arm of the sidecar. The output files are
 command_zv.csv, command_zvd.csv and command_ei.csv (commands for an operator),
 shape.json and shape.png. The residual is the largest distance of the tip from
 its final position after the end of the command, in still air.""",
@@ -65,10 +65,10 @@ def shape(
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Shape a command to reduce the swing after it.
+    """Shape a command to reduce the residual swing.
 
-    The command is convolved with a few impulses. Their times and sizes follow from period and
-    damping of the arm's modes at the final pose, where the air damps them.
+    The command is convolved with a few impulses. Their times and sizes follow from the
+    period and the damping of the arm's modes at the final pose, including the damping by air.
     """
     from ..recordings import check_output_folder, parse_rename, read_run, stored_result, write_run
 
@@ -124,7 +124,7 @@ def _file(name: str) -> str:
 
 
 def _command(run: "Run", source: Any) -> "Command":
-    """The commands of a run, of all joints of an arm, at their corners, from 0 s on."""
+    """Return the commands of all joints at their corners, from 0 s on."""
     import numpy as np
 
     from ..apps.shaping import Command
@@ -153,7 +153,7 @@ def _command(run: "Run", source: Any) -> "Command":
 
 
 def _rows(run: "Run", shaped: "Command") -> tuple[Any, dict[str, Any]]:
-    """Rows of a shaped command as often as the run has some, with its corners; the same joints."""
+    """Return the rows of a shaped command for the same joints, at the rate of the run."""
     import numpy as np
 
     assert run.times is not None
@@ -171,8 +171,8 @@ def _show(found: "Shaping") -> None:
 
     for mode in found.modes:
         typer.echo(
-            f"mode of period {mode.period:.1f} s, damping {mode.damping:.2f} at the amplitude "
-            "that the command excites"
+            f"mode with a period of {mode.period:.1f} s and a damping ratio of {mode.damping:.2f} "
+            "at the amplitude excited by the command"
         )
     typer.echo(f"travel of the tip {found.travel:.3g} m\n")
     print_table(SHAPING_HEADINGS, shaping_rows(found))

@@ -1,4 +1,4 @@
-"""`giajax simulate` and `synth`: a run made by the model, or recorded again."""
+"""`giajax simulate` and `synth`: simulation of a run, and synthetic copy of a recorded run."""
 
 import math
 import re
@@ -57,10 +57,10 @@ def gusts_of(
     rate: float,
     **sampling: Any,
 ) -> tuple["Drive", str]:
-    """The wind of --gusts about the constant one, and what of its variance is left out.
+    """Return the wind of --gusts about the mean wind, and the share of variance that is left out.
 
-    With --coherence it is that of each link, in the places of the straight arm. `sampling` is as
-    of `giajax.gusts`.
+    With --coherence each link has its own wind, at its position in the straight arm. `sampling`
+    contains arguments of `giajax.gusts`.
     """
     import jax.numpy as jnp
     import numpy as np
@@ -85,16 +85,16 @@ def gusts_of(
         sampling |= {"places": places, "decay": coherence}
     wind = gusts(mean, intensity=intensity, **scales, **sampling)
     along, across = gusts_left_out(math.hypot(*mean), **scales)
-    # Of a direction without gusts nothing is left out.
+    # A direction without gusts has no omitted variance.
     shares = [f"{along:.1%} along"] * (parts[0] > 0) + [f"{across:.1%} across"] * any(parts[-2:])
     return wind, (
-        f"gusts with periods below {4 * scales['interval']:g} s are omitted; variance lost: "
-        f"{', '.join(shares)} the mean wind"
+        f"gusts with periods below {4 * scales['interval']:g} s are omitted, which removes this "
+        f"share of the variance: {' and '.join(shares)} the mean wind"
     )
 
 
 def gust_numbers(text: str) -> tuple[list[float], float]:
-    """Intensity, one number or three, and length scale (m) of --gusts."""
+    """Return the intensity (one number or three) and the length scale (m) of --gusts."""
     match = _GUSTS.fullmatch(text.replace(" ", ""))
     if match is None:
         raise InputError(
@@ -109,7 +109,7 @@ _MEASURED = ("joint_angle", "joint_rate", "link_position", "tip_position")
 
 
 def channel_names(selections: Sequence[str], count: int) -> list[str]:
-    """Names of the channels to record, each once, in the order of the options."""
+    """Return the names of the channels to record, each once, in the order of the options."""
     from ..recordings import Channel
 
     if not selections:
@@ -144,7 +144,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
 
 # Options of commands that simulate an arm, as definitions and drives.
 
-DURATION = 25.0  # length of a run, s, by default
+DURATION = 25.0  # Default length of a run, s.
 _START = 0.5
 _RAMP_DURATION = 1.0
 
@@ -157,7 +157,7 @@ _MOVE = re.compile(
 def definition_from_options(
     arm: Path | None, links: int | None, wind: str | None, *, quiet: bool
 ) -> "Definition":
-    """What the arm file and the options say, the options on top."""
+    """Return the definition from the arm file and the options, which override the file."""
     from ..recordings import Definition
     from ..schema import ARM
 
@@ -177,7 +177,7 @@ def definition_from_options(
 def replayed_run(
     command: Path | None, definition: "Definition", moves: Sequence[str] | None
 ) -> "Run | None":
-    """The run of --command, whose commands go between its rows as the arm file says; or None."""
+    """Return the run of --command, interpolated as the arm file specifies; None without one."""
     from ..recordings import Definition, read_run, read_sidecar
     from ..schema import ArmSection
 
@@ -187,7 +187,7 @@ def replayed_run(
         raise InputError(
             "--command is given together with --step or --ramp: give only one source of commands"
         )
-    # The arm that recorded the run says which joints there are, where the sidecar describes it.
+    # If the sidecar describes the arm that recorded the run, it determines the joints.
     recorded = bool(read_sidecar(command).section(ArmSection).contents())
     keys = ("command", "wind") if recorded else ("arm", "command", "wind")
     section = {key: item for key, item in definition.contents().items() if key in keys}
@@ -195,7 +195,7 @@ def replayed_run(
 
 
 def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
-    """Start of a recorded run, its length in whole samples, its commands and wind."""
+    """Return the start of a recorded run, its length in whole samples, its commands and wind."""
     from ..apps.synthetic import Drive
     from ..schema import ARM, CommandSection, WindSection
 
@@ -206,7 +206,8 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
         length = max(math.floor(length * rate + 1e-6), 1) / rate
     wind = run.definition.section(WindSection)
     interpolation = run.definition.section(CommandSection).interpolation
-    apart: dict[str, dict[str, Any]] = {}  # what is straight is judged by the largest value
+    # One drive per quantity, because corners are detected relative to the largest value of a drive.
+    apart: dict[str, dict[str, Any]] = {}
     for name, values in run.commands.items():
         apart.setdefault(run.channels[name].quantity, {})[name] = values
     drives = [Drive(run.times, rows, interpolation) for rows in apart.values()]
@@ -215,7 +216,7 @@ def drives_of(run: "Run", rate: float) -> tuple[float, float, list["Drive"]]:
 
 
 def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: float) -> "Drive":
-    """The commands of --step and --ramp, for an arm of `count` joints and a run of a length (s)."""
+    """Return the commands of --step and --ramp for `count` joints and a run of a duration (s)."""
     from ..apps.synthetic import Move, joint_moves
 
     moves = []
@@ -240,7 +241,7 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
 def model_and_truth(
     definition: "Definition", values: Values, solver: str, tolerance: float
 ) -> tuple["ArmModel", dict[str, float | list[float]]]:
-    """The model with the parameters of --set, and the truth to state."""
+    """Return the model with the parameters of --set, and the true values for the sidecar."""
     import jax.numpy as jnp
 
     from ..models import ArmModel
@@ -257,7 +258,7 @@ def model_and_truth(
 def facts_of(
     definition: "Definition", replayed: "Run | None", drives: Sequence["Drive"], model: "ArmModel"
 ) -> dict[str, Any]:
-    """The sections of the sidecar that say what moves the arm."""
+    """Return the sections of the sidecar that describe the inputs of the arm."""
     from ..models import preset_of
     from ..schema import InitialSection, WindSection
 
@@ -280,7 +281,7 @@ def facts_of(
         facts["command"] = {"interpolation": commanded[0].interpolation}
     else:
         facts["free_motion"] = True
-    # Gusts have the mean wind in them.
+    # Gusts include the mean wind.
     if winds:
         facts["wind"] = {"interpolation": winds[0].interpolation}
     elif velocity is not None:
@@ -357,7 +358,7 @@ def simulate(
 ) -> None:
     """Simulate an arm and write a run that `giajax fit` reads.
 
-    The sidecar beside it states the arm, the noise, the true values and the command line.
+    Its sidecar contains the arm, the noise, the true values and the command line.
     """
     from ..recordings import Definition, check_output_run
 
@@ -388,11 +389,11 @@ def simulate(
         wind_rows, left_out = gusts_of(gusts, definition, replayed, model.arm, **sampling)
         drives.append(wind_rows)
         if not quiet:
-            typer.echo(f"{left_out} (option --rate)")
+            typer.echo(f"{left_out} (see --rate)")
     recorded = channel_names(channels or [], count)
     deviations(section, "--noise", recorded)
     facts = facts_of(definition, replayed, drives, model)
-    # What follows is a comment to a shell; [truth] has parameters only.
+    # The text after # is a comment to a shell; [truth] may contain only parameters.
     facts["origin"] = origin(context) + (f"  # {left_out}" if left_out else "")
     facts["noise"] = {key: deviation for key, deviation in section.items() if deviation}
     times, inputs = sampled(drives, start=start, duration=duration, rate=rate)
@@ -413,7 +414,7 @@ def simulate(
 def write_and_say(
     out: Path, run: "Run", digits: int, *, force: bool, quiet: bool, what: str = ""
 ) -> None:
-    """Write a run, and say what is in it, after something else."""
+    """Write a run and print its size, after the text `what`."""
     from ..recordings import sidecar_path, write_run
 
     write_run(out, run.times, run.values, definition=run.definition, digits=digits, force=force)
@@ -427,13 +428,13 @@ def write_and_say(
 
 
 def check_tolerance(tolerance: float) -> None:
-    """Refuse a --tolerance of which nothing would come."""
+    """Raise an error for an invalid --tolerance."""
     if not 0 < tolerance <= 0.1:
         raise InputError(f"--tolerance is {tolerance:g}: give a positive number of at most 0.1")
 
 
 def _as_written(name: str, values: Any, digits: int) -> Any:
-    """Values as they are when the file is read again, which is what the arm is to follow."""
+    """Round values as in the written file, so that the arm follows the values of the file."""
     from dataclasses import replace
 
     from ..recordings import Channel
@@ -456,16 +457,16 @@ Examples:
       --set camera.delay=0.05 --to new.csv
                             simulate a rotated and delayed camera
   giajax synth --data run.csv --missing 5 --bursts 10 --burst-duration 2 \\
-      --to new.csv          with gaps
+      --to new.csv          add gaps
   giajax synth --data run.csv --noise position_m=0.01 --outliers 1 \\
       --outlier-size position_m=0.5 --to new.csv
-                            with outliers
+                            add outliers
 
-Commands, times, columns and sidecar are those of the run. A true value
+Commands, times, columns and sidecar are taken from the run. A true value
 from --set is written only to [truth] of the new sidecar, so that a fit can
 estimate it. KEY is one of the keys of [noise]: position_m, angle_deg, or a column
 such as link06_z_mm. MODEL is the folder of a fit, its result.json, or a TOML
-file whose [arm] (or other section) states a model with all its parameters.
+file whose [arm] (or other section) describes a model with all its parameters.
 'giajax simulate' creates a first run from steps and ramps.""",
     group="data",
     old={"--out": "--to"},
@@ -496,8 +497,8 @@ def synth(
 ) -> None:
     """Simulate a run again, with measurement errors of your choice.
 
-    Uses the run's model or a fit, for a run of any model. Tests the effect of noise,
-    gaps, outliers and a misaligned frame on a fit before the experiment.
+    Uses the run's model or a fit, for a run of any model. Use it to test, before the experiment,
+    how noise, gaps, outliers and a misaligned frame affect a fit.
     """
     from ..recordings import check_output_run, read_run
 

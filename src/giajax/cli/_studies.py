@@ -35,21 +35,22 @@ if TYPE_CHECKING:
     """\b
 Examples:
   giajax profile giajax-out/run
-                            all free parameters
+                            profile all free parameters
   giajax profile giajax-out/run --parameter air.drag_coefficient
-                            one parameter
+                            profile one parameter
   giajax profile giajax-out/run --level 0.68 --force
-                            at another level
+                            use another level
   giajax profile giajax-out/run --workers 2
-                            in two processes
+                            use two processes
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. Each PATH, a free parameter or a derived quantity, is fixed at
 increasing distances from its estimate while all others are fitted. Without a
 PATH, all free parameters are profiled.
-Writes profiles.json and profiles.png beside the result, where 'giajax report'
-finds them. Existing profiles of the same fit are kept, further paths are added, and
-after Ctrl-C the same command continues. --force computes all profiles again.""",
+The command writes profiles.json and profiles.png beside the result, where
+giajax report finds them. Existing profiles of the same fit are kept, and further
+paths are added. After Ctrl-C, repeat the command to continue. With --force, all
+profiles are computed again.""",
     group="trust",
     workers=True,
     folder="Folder in which each finished side of a profile is stored.",
@@ -66,8 +67,8 @@ def profile(
 ) -> None:
     """Compute profile-likelihood intervals of parameters.
 
-    All other parameters are fitted again at each value. Use these intervals where those of the
-    standard error are doubtful: at bounds and for curved correlations.
+    All other parameters are fitted again at each value. Use these intervals where intervals from
+    the standard error are doubtful: at bounds and for curved correlations.
     """
     from ..recordings import check_output_files, check_output_folder
 
@@ -100,7 +101,7 @@ def profile(
 
 
 def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "Profiles | None":
-    """The profiles that are there of this fit; others are refused unless they may be lost."""
+    """Return existing profiles of this fit; others raise an error unless `force` is given."""
     from ..studies import load_profiles
 
     if not path.exists():
@@ -115,7 +116,7 @@ def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "P
         return before
     if not force:
         what = "another fit" if before.level == level else f"the level {before.level:g}"
-        raise InputError(f"{path} belongs to {what}: give --force to overwrite it")
+        raise InputError(f"{path} belongs to {what}: use --force to overwrite it")
     return None
 
 
@@ -123,18 +124,18 @@ def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "P
     """\b
 Examples:
   giajax posterior giajax-out/run
-                            beside the result
+                            write the files beside the result
   giajax posterior giajax-out/run --draws 2000 --workers 4
-                            more draws, in four processes
+                            use more draws and four processes
   giajax posterior giajax-out/run --chains 8 --force
-                            more chains
+                            use more chains
   giajax posterior giajax-out/run --out elsewhere
-                            into another folder
+                            write the files to another folder
 
 RESULT is the folder of a fit, or its result.json. The output files are
 posterior.json, the draws for ArviZ (posterior.nc), figures, and uncertainty bands
 of every channel as CSV. Each chain is stored in posterior_chains. The same command
-continues after Ctrl-C; with a larger number of --chains, the existing chains
+continues after Ctrl-C. With a larger number of --chains, the existing chains
 are kept. This command needs pip install 'giajax[posterior]'.""",
     group="trust",
     pictures=True,
@@ -174,7 +175,7 @@ def posterior(
     found = given.computed(draw, "chains", **settings)
     contents = posterior_files(found, fitted, runs)
     write_folder(folder, contents, force=True)
-    # Draws in the other format are those of an earlier call.
+    # Draws in the other format belong to an earlier call.
     for name in set(POSTERIOR_FILES) - contents.keys():
         (folder / name).unlink(missing_ok=True)
     if given.as_json:
@@ -187,7 +188,7 @@ def posterior(
 
 
 def _is_unfinished(path: Path, result: "FitResult") -> bool:
-    """Whether a file is the posterior of this fit, of an earlier call that was stopped."""
+    """Return whether a file is the posterior of this fit from an earlier, stopped call."""
     from ..studies import PosteriorSummary
 
     try:
@@ -197,7 +198,7 @@ def _is_unfinished(path: Path, result: "FitResult") -> bool:
     return known.is_of(result) and known.chains < known.asked
 
 
-# Repetitions of a self-test: the spread within 7 %, in about a minute for a fit of some seconds.
+# Repetitions of a self-test: the spread is known to 7 %, in about a minute for a fit of seconds.
 _SELF_TEST = 96
 
 _KEPT = "Folder in which each finished task is stored."
@@ -207,18 +208,19 @@ _KEPT = "Folder in which each finished task is stored."
     """\b
 Examples:
   giajax bootstrap giajax-out/run
-                            beside the result
+                            write the files beside the result
   giajax bootstrap giajax-out/run --size 400 --workers 2
-                            more repetitions, in two processes
+                            use more repetitions and two processes
   giajax bootstrap giajax-out/run --block --out blocks
-                            with blocks of residuals, into another folder
+                            use blocks of residuals and another folder
   giajax bootstrap giajax-out/run --whole --size 100 --folder repetitions
-                            whole fits, each kept in a folder
+                            repeat whole fits, and keep each in a folder
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-their original paths. Writes bootstrap.json and bootstrap.png beside the result, where
-giajax report finds them. Ctrl-C keeps the finished repetitions; with --folder DIR,
-the same command with --force continues from there.""",
+their original paths. The command writes bootstrap.json and bootstrap.png beside
+the result, where giajax report finds them. After Ctrl-C, a result is written from
+the finished repetitions. With --folder DIR, the same command with --force
+continues from there.""",
     group="trust",
     workers=True,
     folder=_KEPT,
@@ -246,9 +248,9 @@ def bootstrap(
 def self_test(
     result: "FitResult", runs: "Sequence[Run]", folder: Path, *, shown: bool
 ) -> list[Path]:
-    """Repeat a fit that has just ended, write it beside the result and show it.
+    """Repeat a completed fit, write the repetitions beside its result and show them.
 
-    No files are written where nothing could be repeated, which a sentence says.
+    If nothing could be repeated, no files are written and a sentence says so.
     """
     from ..recordings import write_files
     from ..studies import bootstrap as repeat
@@ -273,15 +275,15 @@ def self_test(
     """\b
 Examples:
   giajax influence giajax-out/run
-                            estimate by one step from the optimum
+                            estimate the influence by one step of the fit
   giajax influence giajax-out/both --exact --workers 2
                             repeat the fit without each part of the data
   giajax influence giajax-out/run --spans 20 --out spans
-                            with shorter time spans, into another folder
+                            use shorter time spans and another folder
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-their original paths. Writes influence.json and influence.png beside the result, where
-giajax report finds them.""",
+their original paths. The command writes influence.json and influence.png beside
+the result, where giajax report finds them.""",
     group="trust",
     workers=True,
     folder=_KEPT,
@@ -294,14 +296,14 @@ def influence(
     given: OnResult,
     exact: Annotated[bool, "Repeat the fit without each marker, channel and span."] = False,
     spans: Annotated[
-        int, "N", "Number of time spans of each run; 1 to omit the time spans.", 1
+        int, "N", "Number of time spans of each run. Use 1 to omit the time spans.", 1
     ] = 10,
     rows: Annotated[int, "N", "Number of table rows.", 1] = 20,
 ) -> None:
     """Show the influence of each part of the data on the estimates.
 
-    Computes the change of each parameter and of its error if a run, a marker, a channel or a time
-    span is left out.
+    Computes the change of each parameter and of its standard error if a run, a marker, a channel or
+    a time span is left out.
     """
     given.record("influence", most=rows, exact=exact, spans=spans)
 
@@ -314,19 +316,19 @@ Examples:
   giajax suspects giajax-out/run --ladder
                             fit the best suspects, and test again
   giajax suspects giajax-out/run --ladder --tries 1
-                            with one fit for each step
+                            fit one suspect in each step
   giajax suspects giajax-out/run --ladder --validation other.csv
-                            validated on another run
+                            validate on another run
   giajax suspects giajax-out/run --systematic --uncertainty links.mass=0.002
-                            the effect of an uncertain mass on the estimates
+                            show the effect of an uncertain mass
   giajax suspects giajax-out/run --json
-                            as JSON
+                            print JSON
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The suspect with the largest decrease of chi-square comes first.
 --ladder fits the first few suspects, keeps the one with the lowest BIC, and
-repeats this as long as BIC decreases. A step takes minutes for a long arm, and less with
---tries 1, which fits only the first suspect.""",
+repeats this as long as BIC decreases. A step takes minutes for a long arm. It takes less
+time with --tries 1, which fits only the first suspect.""",
     group="trust",
     out="Output folder for suspects.json, the result with its suspects.",
     as_json=True,
@@ -351,8 +353,9 @@ def suspects(
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.
 
-    Estimates the decrease of chi-square and the value after one step for each: added mass, camera
-    delay, wind, friction, swapped axes and every other effect of the model.
+    For each of these parameters, estimates the decrease of chi-square and the value after one step.
+    They include added mass, camera delay, wind, friction, swapped axes and every other effect of
+    the model.
     """
     from ..recordings import Definition, make_folder, read_runs, write_files
     from ..tasks import held_out_runs
@@ -385,7 +388,9 @@ def suspects(
             print()
         print("\n".join(suspect_summary(found)))
         if systematic or deviations:
-            print("\neffect of the uncertainty of fixed parameters, in standard errors:")
+            print(
+                "\neffect of the uncertainty of fixed parameters, in units of the standard error:"
+            )
             print_table(*systematic_table(fitted))
     steps = None
     if ladder:
@@ -420,7 +425,7 @@ _STEP = ("removed", "chi_square", "aic", "bic", "held_out")
 def _facts(
     result: "FitResult", found: "Suspects", steps: "StepwiseSelection | None"
 ) -> dict[str, Any]:
-    """What `--json` prints."""
+    """Return the data that `--json` prints."""
     facts: dict[str, Any] = {key: getattr(found, key) for key in ("chi_square", "values", "asked")}
     facts |= {"suspects": result.suspects, "systematic": result.systematic}
     if steps is not None:

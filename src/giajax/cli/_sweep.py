@@ -1,4 +1,4 @@
-"""`giajax sweep`: one fit many times, with other values, runs or options."""
+"""`giajax sweep`: a fit repeated with other values, runs or options."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,9 +32,9 @@ Examples:
   giajax sweep plan.toml --dry-run
                             list the fits
   giajax sweep plan.toml --workers 4
-                            in four processes
+                            use four processes
   giajax sweep plan.toml --out masses --scheduler tcp://head:8786
-                            on a cluster, into the folder masses
+                            use a cluster, and write to the folder masses
 
 \b
 A plan names a fit definition and the values that differ between fits:
@@ -49,8 +49,7 @@ has been extended. DIR/sweep.parquet contains one row for each fit, and DIR/fits
 contains one file for each fit.
 
 \b
-Exit status: 0 all fits were done; 1 a fit failed (its row states the
-reason);
+Exit status: 0 all fits were done; 1 a fit failed (its row gives the reason);
 2 bad input or usage; 130 interrupted, 143 by SIGTERM.""",
     group="fit",
 )
@@ -67,8 +66,8 @@ def sweep(
 ) -> None:
     """Fit one definition many times.
 
-    Each fit has other values, runs or options. Runs on one core, on several (--workers), or on the
-    machines of a cluster (--scheduler).
+    Each fit uses different values, runs or options. The fits run on one core, on several cores
+    (--workers), or on the machines of a cluster (--scheduler).
     """
     from ..runtime.execution import open_executor
     from ..tasks import TABLE, Plan, sweep as sweep_plan
@@ -95,7 +94,7 @@ def sweep(
 
 
 def _list(plan: "Plan", folder: Path) -> None:
-    """The fits of a plan, and which of them are done."""
+    """Print the fits of a plan, and which of them are done."""
     from ..runtime.tasks import read_outcome
     from ..tasks import FITS
 
@@ -106,11 +105,11 @@ def _list(plan: "Plan", folder: Path) -> None:
         values = (case.get(name) for name in plan.columns)
         rows.append((number, *values, "done" if done else ""))
     print_table(["fit", *plan.columns, ""], rows)
-    print(f"\n{len(rows)} fits into {folder}, {known} of them already done")
+    print(f"\n{len(rows)} fits in {folder}, of which {known} are already done")
 
 
 def _estimate(row: dict[str, Any], path: str) -> str | None:
-    """Value and error of a parameter, SI, or that a fit which converged does not determine it."""
+    """Format value and error of a parameter, SI, or say that a fit does not determine it."""
     from ..runtime.text import format_estimate
 
     value = row[f"value.{path}"]
@@ -123,7 +122,7 @@ def _estimate(row: dict[str, Any], path: str) -> str | None:
 
 
 def _show(table: "pl.DataFrame", columns: list[str]) -> None:
-    """The first rows: what differs, what was found, and how well it describes the data."""
+    """Print the first rows: the differences, the estimates, and the verdicts."""
     paths = [name.removeprefix("value.") for name in table.columns if name.startswith("value.")]
     headings = [*columns, "status", *paths, "verdict"]
     rows = [

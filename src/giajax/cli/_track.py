@@ -1,4 +1,4 @@
-"""`giajax track`: where the arm was, from late and noisy measurements."""
+"""`giajax track`: motion of an arm, estimated from late and noisy measurements."""
 
 import io
 import json
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from ..recordings import Run
 
 _STANDARD_INPUT = Path("-")
-_HEARD = "recorded.csv"  # what came from standard input
-_PATIENCE = 10.0  # s
-_SHARE = 0.3  # of a parameter: its deviation, where none is stated
+_HEARD = "recorded.csv"  # Copy of the rows from standard input.
+_PATIENCE = 10.0  # Default waiting time for new rows, s.
+_SHARE = 0.3  # Default standard deviation of a parameter, relative to its value.
 
 
 @command(
@@ -58,15 +58,15 @@ Examples:
                             track while run.csv is being recorded
 
 \b
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm]
-states an arm; the default is the arm of the sidecar. The standard errors of
-a fit are used as the uncertainty of its parameters. The output files are
+MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
+section. The default is the arm of the sidecar. The standard errors of a fit
+are used as the uncertainty of its parameters. The output files are
 estimate.csv (a run of the smoothed states), bands.csv (their standard
 deviations), track.json, track.png and track.html (needs the extra report).
 
 \b
 With --live, or with - for standard input, a line is printed for each second
-of the recording; the files are written at the end of the run or at Ctrl-C.""",
+of the recording. The files are written at the end of the run or after Ctrl-C.""",
     group="plan",
     pictures=True,
 )
@@ -117,7 +117,9 @@ def track(
         "the stiffness]",
     ] = None,
     latency: Annotated[float, "S", "Delay between time stamp and arrival of a measurement."] = 0.0,
-    gate: Annotated[float, "SD", "Reject measurements beyond this many standard deviations."] = 5.0,
+    gate: Annotated[
+        float, "SD", "Reject measurements that deviate by more than SD standard deviations."
+    ] = 5.0,
     truth: Annotated[
         Path | None, "TRUE.csv", "File with true angles or rates, to check the standard deviations."
     ] = None,
@@ -186,8 +188,8 @@ def track(
         for path in estimated:
             if path in considered:
                 raise InputError(
-                    f"{path} is given with both --free and --uncertain: keep --free to estimate "
-                    "it, or --uncertain"
+                    f"{path} is given with both --free and --uncertain: keep only --free to "
+                    "estimate it, or only --uncertain otherwise"
                 )
         return source, Unknown(
             air=None if flow is None else _air(source, flow, parts, length_scale, decay, places),
@@ -222,7 +224,7 @@ def track(
     if true is not None:
         try:
             square, share = nees(found, true)
-        except InputError as error:  # what was tracked is written
+        except InputError as error:  # The tracked run is already written.
             said = f"note: {error}"
         else:
             facts["truth"] = {"nees_per_state": square, "within_95_percent": share}
@@ -244,7 +246,7 @@ def track(
     how: dict[str, Any] = {"definition": estimate_definition(found), "force": force}
     write_run(out / TRACK_FILES.estimate, found.times, estimate_columns(found), **how)
     if as_json:
-        # Of a run that was followed, a line as those before it.
+        # For a run that was followed live, print one line, like the previous ones.
         typer.echo(json.dumps(facts, allow_nan=False) if followed else text)
     elif not quiet:
         _show(found, verdict, hidden)
@@ -256,7 +258,7 @@ def track(
 
 
 def _true(path: Path) -> "Run":
-    """A run with true angles or rates of joints."""
+    """Read a run with true angles or rates of joints."""
     from ..recordings import read_run
 
     true = read_run(path)
@@ -280,7 +282,7 @@ def _follow(
     as_json: bool,
     quiet: bool,
 ) -> "Run":
-    """Track a run while it is recorded; the run of its rows."""
+    """Track a run while it is recorded, and return the run of its rows."""
     from ..apps.tracking import LiveRows, followed_live, heard_facts, heard_line, lines_of
     from ..recordings import LineReader, make_folder
 
@@ -321,7 +323,7 @@ def _follow(
 
 
 def _estimated(given: list[str] | None, source: Any) -> dict[str, float]:
-    """Deviations by path, of which those that are not stated are a share of the value."""
+    """Return deviations by path; those that are not given are a share of the value."""
     from ..fitting import arm_model_of
     from ..schema.parameters import find
 
@@ -361,7 +363,10 @@ def _air(
 
 
 def _biases(run: "Run", given: list[str] | None) -> "tuple[Bias, ...]":
-    """Positions and pixels of one axis are shifted alike; each other channel by itself."""
+    """Return the biases of the channels.
+
+    Positions and pixels of one axis of a camera share a bias. Each other channel has its own.
+    """
     from ..apps.tracking import Bias
 
     section = noise_section(given, "--bias", positive=True)
@@ -433,7 +438,7 @@ def _show(found: "Track", verdict: "TrackVerdict", hidden: Any) -> None:
     typer.echo(
         f"\n{len(found.times)} times, {found.arm.size} states, "
         f"{1e3 * found.seconds:.2g} ms per time; NIS {verdict.nis:.3f} "
-        f"(expected: 1 within {4 * verdict.nis_error:.3f})"
+        f"(expected: 1 +- {4 * verdict.nis_error:.3f})"
     )
     for note in track_notes(found, verdict, hidden):
         typer.echo(f"note: {note}")

@@ -1,4 +1,4 @@
-"""`giajax unroll`: a rolled arm that is paid out by a hand or by gas, and filled then."""
+"""`giajax unroll`: unrolling of a rolled arm by hand or by gas, and its filling."""
 
 import dataclasses
 from pathlib import Path
@@ -33,7 +33,7 @@ Examples:
   giajax unroll --by-gas --out unrolled
                             unroll by gas, and write files and figures
   giajax unroll roll.toml --set film.peel=0.5 --json
-                            use your roll with more adhesion; print JSON
+                            use your roll with more adhesion, and print JSON
 
 \b
 With --out DIR, the command writes
@@ -68,8 +68,8 @@ def unroll(
 ) -> None:
     """Unroll an arm of balloons by hand or by gas, and fill it.
 
-    Computes speed and forces of the roll over time (the paper's fig. 14), and the times when the
-    arm is full and lifts itself.
+    Computes the speed of the roll and the forces on it over time (the paper's fig. 14), and the
+    times when the arm is full and lifts itself.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -112,7 +112,7 @@ _SHOWN = 11
 
 
 def _show(unrolled: "Unrolled") -> None:
-    """Rows at evenly spaced times, and what is so of the whole."""
+    """Print rows at evenly spaced times, and the results for the whole process."""
     import numpy as np
 
     wanted = np.linspace(0, unrolled.times[-1], _SHOWN)

@@ -1,6 +1,6 @@
-"""The grammar of values on the command line: PATH=VALUE and KEY=VALUE, in every command alike.
+"""Syntax of values on the command line: PATH=VALUE and KEY=VALUE, the same in every command.
 
-A value is a number, or a number for each element, separated by commas: camera.origin=0.1,0,0.
+A value is a number, or one number per element, separated by commas: camera.origin=0.1,0,0.
 """
 
 import math
@@ -20,7 +20,7 @@ _T = TypeVar("_T")
 
 
 def number(text: str) -> float | None:
-    """The finite number that a text says; None where it says no such number."""
+    """Parse a finite number; None if the text is not one."""
     text = text.strip()
     if not re.fullmatch(NUMBER, text):
         return None
@@ -28,7 +28,7 @@ def number(text: str) -> float | None:
 
 
 def numbers(text: str, count: int | None = None) -> list[float] | None:
-    """Numbers with commas between them; None where there are not so many, or others stand there."""
+    """Parse comma-separated numbers; None if their count differs or the text is invalid."""
     found = [value for part in text.split(",") if (value := number(part)) is not None]
     return found if len(found) == text.count(",") + 1 == (count or len(found)) else None
 
@@ -40,7 +40,7 @@ def _by_path(
     example: str,
     read: Callable[[str], _T | None],
 ) -> dict[str, _T]:
-    """What is read of the text behind each PATH=, in the order of typing; each path once."""
+    """Return the parsed text after each PATH=, in the order of typing; each path once."""
     known: dict[str, _T] = {}
     for pair in pairs or []:
         path, _, text = (part.strip() for part in pair.partition("="))
@@ -57,29 +57,29 @@ def _by_path(
 
 
 def settings(pairs: Sequence[str] | None, option: str = "--set") -> Values:
-    """One number, or one for each element, by path, from PATH=VALUE."""
-    form = "PATH=VALUE with a number, or with one for each element"
+    """Return one number, or one number per element, by path, from PATH=VALUE."""
+    form = "PATH=VALUE with one number, or with one number for each element"
     example = "air.drag_coefficient=1.0 or camera.origin=0.1,0,0"
     return _by_path(pairs, option, form, example, numbers)
 
 
 def joint_angles(pairs: Sequence[str] | None, option: str) -> dict[str, float]:
-    """Angles (deg) by the text before them, from JOINT=DEG."""
+    """Return angles (deg) by the text before them, from JOINT=DEG."""
     return _by_path(pairs, option, "JOINT=DEG with a number", "1=20", number)
 
 
 def plain(values: Values) -> dict[str, float | list[float]]:
-    """Values by path as a file has them: one number by itself, several as a list."""
+    """Return values by path in the form of a file: a single number, or a list of several."""
     return {path: each[0] if len(each) == 1 else each for path, each in values.items()}
 
 
 def plain_settings(pairs: Sequence[str] | None, option: str) -> dict[str, float | list[float]]:
-    """As `settings`, but as a file has them."""
+    """Return the same as `settings`, in the form of a file."""
     return plain(settings(pairs, option))
 
 
 def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
-    """The model with these parameters, switched on where they are left out."""
+    """Return the model with these parameters; parameters that are off are switched on."""
     from ..schema.parameters import (
         check_count,
         check_within_bounds,
@@ -105,7 +105,7 @@ def with_settings(model: Any, values: Mapping[str, Sequence[float]]) -> Any:
 def noise_section(
     pairs: Sequence[str] | None, option: str, *, positive: bool = False
 ) -> dict[str, float]:
-    """Keys of `[noise]` with their standard deviations in the unit of the key, from KEY=VALUE."""
+    """Return keys of `[noise]` with standard deviations in the unit of the key, from KEY=VALUE."""
     section = _by_path(pairs, option, "KEY=VALUE with a number", "position_m=0.01", number)
     for key, value in section.items():
         if value < 0:
@@ -120,7 +120,7 @@ def noise_section(
 def deviations(
     section: Mapping[str, float], option: str, channels: Sequence[str]
 ) -> dict[str, float]:
-    """Standard deviations (SI) that keys of `[noise]` state, by channel; each key is about one."""
+    """Return standard deviations (SI) by channel, from keys of `[noise]`; each key must match."""
     from ..recordings import Channel, Definition, deviation_of
 
     def by_channel(part: Mapping[str, float]) -> dict[str, float]:
@@ -133,26 +133,26 @@ def deviations(
             raise InputError(
                 f"{option} {key} matches none of the recorded channels: correct the key, or omit it"
             )
-    # A deviation of 0 is none, which [noise] does not state.
+    # A deviation of 0 means no noise, for which [noise] has no entry.
     return by_channel({key: value for key, value in section.items() if value > 0})
 
 
 def velocity(text: str, option: str) -> list[float]:
-    """Three numbers in m/s."""
+    """Parse three numbers in m/s."""
     if (found := numbers(text, 3)) is None:
         raise InputError(f"{option} is {text!r}: give three numbers in m/s, such as 0,0.2,0")
     return found
 
 
-# The grammar of options of `giajax fit` on parameters: priors, bounds, ties, groups of runs.
+# Syntax of the options of `giajax fit` for parameters: priors, bounds, ties, groups of runs.
 #
-# No character in it means anything to a shell, brackets of indices apart.
+# No character of it has a meaning to a shell, except the brackets of indices.
 
 _PRIOR = re.compile(rf"\s*({NUMBER})\s*(\+-|x/)\s*({NUMBER})\s*")
 
 
 def priors(pairs: Sequence[str] | None) -> "dict[str, Prior]":
-    """Priors by path, from PATH=VALUE+-DEVIATION or PATH=VALUEx/FACTOR."""
+    """Return priors by path, from PATH=VALUE+-DEVIATION or PATH=VALUEx/FACTOR."""
     from ..schema import Prior
 
     def read(text: str) -> Prior | None:
@@ -168,18 +168,18 @@ def priors(pairs: Sequence[str] | None) -> "dict[str, Prior]":
 
 
 def bounds(pairs: Sequence[str] | None) -> Values:
-    """Lower and upper bounds by path, from PATH=LOW,HIGH."""
+    """Return lower and upper bounds by path, from PATH=LOW,HIGH."""
     form = "PATH=LOW,HIGH with two numbers"
     return _by_path(pairs, "--bounds", form, "joints.damping=0.01,1.0", lambda t: numbers(t, 2))
 
 
 def ties(pairs: Sequence[str] | None) -> dict[str, str]:
-    """Expressions by the path that follows from them, from PATH=EXPRESSION."""
+    """Return expressions by the path that they determine, from PATH=EXPRESSION."""
     return _by_path(pairs, "--tie", "PATH=EXPRESSION", "'links.mass=links.mass[0]'", str)
 
 
 def groups(pairs: Sequence[str] | None) -> dict[str, list[list[str]]]:
-    """Names of runs, group by group, by path, from PATH=RUN,RUN for each group."""
+    """Return groups of run names by path, from PATH=RUN,RUN for each group."""
     known: dict[str, list[list[str]]] = {}
     for pair in pairs or []:
         one = _by_path([pair], "--group", "PATH=RUN,RUN", "joints.damping=monday,tuesday", str)

@@ -1,4 +1,4 @@
-"""`giajax wind`: the wind that a resting arm undulates in."""
+"""`giajax wind`: the wind acting on a resting arm, estimated from its motion."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -42,8 +42,8 @@ Examples:
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
                             also fit the decay, and omit the first minute
 
-MODEL is the folder of a fit, its result.json, or a TOML file whose [arm] states
-an arm; the default is the arm of the sidecar. NAME is speed, deviation,
+MODEL is the folder of a fit, its result.json, or a TOML file with an [arm] section.
+The default is the arm of the sidecar. NAME is speed, deviation,
 length_scale (free by default), decay, heading or climb (fixed by default).""",
     group="plan",
     pictures=True,
@@ -54,7 +54,7 @@ def wind(
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Initial mean flow (m/s), whose direction stays fixed. [default: from the run or the arm]",
+        "Initial mean flow (m/s). Its direction stays fixed. [default: from the run or the arm]",
         "--wind",
     ] = None,
     gusts: Annotated[str, "I:L", "Initial intensity and length scale (m) of the gusts."] = "0.2:5",
@@ -62,7 +62,7 @@ def wind(
     free: Annotated[Texts, "NAME", "Also fit this parameter of the wind."] = None,
     hold: Annotated[Texts, "NAME", "Fix this parameter of the wind."] = None,
     no_mean: Annotated[
-        bool, "Use only the motion about the mean position, not the mean position."
+        bool, "Use only the motion about the mean position, not the mean position itself."
     ] = False,
     skip: Annotated[
         float | None, "S", "Omit the first S seconds. [default: until the arm is at rest]"
@@ -79,8 +79,8 @@ def wind(
 ) -> None:
     """Fit mean flow and gusts to the recording of a resting arm.
 
-    Spectra and means of its channels are compared with those of the arm, linearised about its
-    equilibrium, in von Karman gusts. The gusts over time are not estimated.
+    The arm is linearised about its equilibrium, and its spectra and means in von Karman gusts are
+    fitted to those of the recorded channels. The gusts over time are not estimated.
     """
     from ..recordings import check_output_folder, observing, parse_rename, read_run
 
@@ -100,7 +100,7 @@ def wind(
     stated = model_of(model, [run])
     if stated.kind != ARM.name:
         raise InputError(
-            f"the model {stated.kind} is not the model of an arm: give the model of an arm"
+            f"the {stated.kind} model is not the model of an arm: give the model of an arm"
         )
     arm = cast("ArmModel", stated)
     names = [name for name in (*USUALLY, *(free or [])) if name not in (hold or [])]
@@ -120,7 +120,9 @@ def wind(
     text = wind_json(found, run)
     if out is not None:
         picture = to_png(
-            wind_figure(found, f"{run.name}: spectra at rest, and those of the fitted wind")
+            wind_figure(
+                found, f"{run.name}: measured spectra at rest and spectra in the fitted wind"
+            )
         )
         contents = {"wind.json": f"{text}\n".encode(), "wind.png": picture}
         write_folder(out, contents, force=force)
@@ -145,8 +147,8 @@ def _show(found: "WindFit") -> None:
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")
     typer.echo(
-        f"ratio of the spectra to the expected spectra {found.misfit[0]:.3f} "
-        f"(expected: 1 within {found.misfit[1]:.3f})"
+        f"mean ratio of measured to expected spectra {found.misfit[0]:.3f} "
+        f"(expected: 1 +- {found.misfit[1]:.3f})"
     )
     for note in found.notes:
         typer.echo(f"note: {note}")

@@ -1,4 +1,4 @@
-"""Least squares over chosen parameters of any model that predicts channels."""
+"""Least-squares estimation of selected parameters of any model that predicts channels."""
 
 from typing import TYPE_CHECKING
 
@@ -145,6 +145,6 @@ from ._weights import (
     prior_row as prior_row,
 )
 
-# Type checkers are to complain of what is not there.
+# Type checkers should report missing names.
 if not TYPE_CHECKING:
     __getattr__ = _earlier(__name__)

@@ -1,4 +1,4 @@
-"""Checks at the end of a fit: its derivatives, a finer tolerance, and how straight it all is."""
+"""Checks at the end of a fit: derivatives, integrator tolerance and nonlinearity."""
 
 import contextlib
 import dataclasses
@@ -14,35 +14,38 @@ from ._statistics import Statistics
 from ._steps import FitState, at_tolerance, evaluate, has_many_rows, move, residuals_at, step
 from ._uncertainty import inverse_gram
 
-# Whether a standard error says how far the data let a parameter go: second derivatives.
+# Second derivatives show whether a standard error describes the range that the data allow.
 #
-# A standard error takes the residuals to be straight in the parameters. Along the direction in
-# which a parameter moves by one standard error and all others follow it, the second derivative
-# r'' of the residuals r says how wrong that is: r . r'' is what Gauss-Newton leaves out of the
-# Hessian, and (r') . r'' makes the two sides unequal (Bates and Watts, "Nonlinear Regression
-# Analysis", 1988, chapter 7). Both are relative to |r'|^2. The third derivative is left out: it
-# counts only where the residuals are as large as what the parameter changes.
+# A standard error assumes that the residuals are linear in the parameters. Consider the direction
+# in which a parameter moves by one standard error while all others follow to the lowest cost. Along
+# it, the second derivative r'' of the residuals r measures the error of that assumption: r . r'' is
+# the part of the Hessian that Gauss-Newton omits, and (r') . r'' makes the two sides unequal (Bates
+# and Watts, "Nonlinear Regression Analysis", 1988, chapter 7). Both are relative to |r'|^2. The
+# third derivative is neglected. It matters only if the residuals are as large as the change that
+# the parameter causes.
 
-# Part of a standard error over which the Jacobian is differenced: far above the integrator's error
-# and far below where the third derivative counts.
+# Step over which the Jacobian is differenced, as a fraction of a standard error. It is large
+# compared with the integrator's error, and small enough that the third derivative is negligible.
 _STEP = 0.1
 
-# And of recordings with many rows, where residuals are differenced, twice: their bend is to be seen
-# beside the integrator's error, which a shorter step, beside a bound, would not do.
+# Step for recordings with many rows, whose second derivatives are computed from residuals alone.
+# The curvature must exceed the integrator's error, which a shorter step (near a bound) would not
+# achieve.
 _STEP_OF_RESIDUALS = 0.5
 
-# Each takes an evaluation. Of more parameters those with the largest relative errors are asked, and
-# none that is known this well: a power of it bends by no more than that within its error.
+# Each curvature requires one evaluation. Therefore only the parameters with the largest relative
+# errors are checked, and none whose relative error is below `_SURE`: even a power of such a
+# parameter has a relative curvature of at most that size within its error.
 _MOST = 10
 _SURE = 0.03
 
 
 class Curvature(NamedTuple):
-    """How much the residuals bend within one standard error of a parameter.
+    """Curvature of the residuals within one standard error of a parameter.
 
     Attributes:
-        left_out: what Gauss-Newton leaves out of the second derivative of the cost, relative.
-        skew: how unequal the two sides are: the third-order part at one standard error, relative.
+        left_out: part of the second derivative of the cost that Gauss-Newton omits, relative.
+        skew: asymmetry of the two sides: third-order part at one standard error, relative.
     """
 
     left_out: float
@@ -50,9 +53,10 @@ class Curvature(NamedTuple):
 
 
 def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
-    """Curvature along each determined parameter that is not of a single run, by position.
+    """Return the curvature along each determined parameter, by position.
 
-    Without those at a bound, those that are known well, and those beside which the model fails.
+    Parameters of single runs, parameters at a bound, parameters with small relative errors, and
+    parameters near which the model fails are omitted.
     """
     relative = {
         index: error / (abs(statistics.values[index]) or 1e-300)
@@ -67,7 +71,7 @@ def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
 def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature | None:
     bijector, values = state.problem.bijector, statistics.values
     row = int(np.flatnonzero(statistics.alive == index)[0])
-    # Where the parameter moves by its standard error, the others follow to the lowest cost.
+    # The parameter moves by its standard error, and the others follow to the lowest cost.
     following = inverse_gram(statistics.root)[row]
     direction = np.zeros(len(values))
     direction[statistics.alive] = following * statistics.standard_errors[index] / following[row]
@@ -82,7 +86,7 @@ def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature
     here = state.natural_jacobian.times(direction)
     residual = np.asarray(state.inner.residual, dtype=float)
     if bends:
-        # Without derivatives, which take most of the time.
+        # Residuals suffice. Their derivatives would take most of the time.
         second = 2 * (residuals_at(state, there) - residual - step * here) / step**2
     else:
         slopes = np.maximum(bijector.slope(there), 1e-300)
@@ -94,49 +98,57 @@ def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature
     return Curvature(float(residual @ second) / length, float(here @ second) / length)
 
 
-# The tolerance of the integrator: chosen by what it moves the estimates by, in standard errors.
+# The tolerance of the integrator is chosen by the shift of the estimates that it causes, in units
+# of the standard error.
 #
-# That a residual is off by a small part of the noise says little: what counts is how much of the
-# error the parameters can imitate, because by that the optimum moves. To first order it is R^-1
-# Q^T dr, of the factors of the Jacobian and the change dr of the residuals with a far finer
-# tolerance; in standard errors, along all directions that the data determine, it is Q^T dr.
+# An error of a residual that is small compared with the noise does not show that the tolerance
+# suffices. The optimum shifts by the part of the error that the parameters can imitate. To first
+# order the shift is R^-1 Q^T dr, where Q R is the factorised Jacobian and dr is the change of the
+# residuals at a far finer tolerance. In units of the standard error, along all directions that the
+# data determine, it is Q^T dr.
 
 FINER = 0.01
-"""What a tolerance is multiplied by to see what it moves; half of it would understate that."""
+"""Factor on a tolerance for measuring its effect. A factor of 0.5 would underestimate it."""
 
-# And of recordings with many rows, in two thirds of the time: the rest is extrapolated.
+# Factor for recordings with many rows. It takes two thirds of the time, and the rest of the effect
+# is extrapolated.
 _FINER_OF_MANY = 0.1
 
-# What it may move, in standard errors: five times less than a converged fit may be off.
+# Permitted shift, in standard errors: one fifth of the largest distance of a converged fit from the
+# optimum.
 _ALLOWED = 0.002
 _TIGHTER = 0.1
-# Where it moves them by no more than this many times that, half as many digits are enough.
+# If the shift is at most this multiple of the permitted shift, the tolerance is reduced by half as
+# many digits.
 _LITTLE = 5.0
-# Where a tenth of a tolerance leaves no more than this part of that, a hundredth need not be tried
-# before the optimum.
+# If the shift that remains after a reduction of the tolerance is at most this fraction of the
+# permitted shift, no finer simulation is tried before the optimum.
 _ENOUGH = 0.8
-# Beyond this, in standard errors, an optimum is not said to follow a change of the residuals.
+# Largest shift, in standard errors, that is predicted to first order from a change of the
+# residuals.
 _NEAR = 0.1
-_FINEST = 1e-10  # against a finer one there is nothing but rounding to compare with
+_FINEST = 1e-10  # at a finer tolerance, rounding errors dominate the comparison
 
-# A coordinate to which the residuals respond by less, in units of the noise, is no direction, ...
+# A coordinate to which the residuals, divided by the noise, respond by less is ignored.
 _RESPONSE = 1e-2
-_SINGULAR = 1e-8  # ... nor is a combination that the data tell from the others by less than this
+_SINGULAR = 1e-8  # smallest singular value of a direction that the data determine, relative
 
-# A cost that is rough by more than this part of what a step promises may hide what it gains.
+# If the roughness of the cost exceeds this fraction of the predicted decrease, it may hide the gain
+# of a step.
 _ROUGH = 0.01
 
 
 def with_suitable_tolerance(state: FitState) -> FitState:
-    """The point with a tolerance that moves nothing by more than the data tell: coarse as may be.
+    """Return the state at the coarsest tolerance that has a negligible effect on the estimates.
 
-    A stated one stays; another is lowered in steps of ten or of its root, and evaluated again.
+    A specified tolerance stays. Otherwise the tolerance is reduced by a factor of ten, or by the
+    square root of ten, and the state is evaluated again.
     """
     while state.setup.chooses_tolerance:
         compared = residual_change(state)
         change = compared * (1 - FINER) / (1 - finer_factor(state))
         moved = np.linalg.norm(_explained(state, change))
-        # Of a finer simulation that fails nothing is known.
+        # If the finer simulation fails, the shift is NaN, and the tolerance stays.
         allowed = _allowed(state)
         factor = _TIGHTER if moved > _LITTLE * allowed else _TIGHTER**0.5
         tighter = None
@@ -144,7 +156,7 @@ def with_suitable_tolerance(state: FitState) -> FitState:
             tighter = _tightened(state, factor, _followed(state, change * (1 - factor)))
         if tighter is None:
             return dataclasses.replace(state, finer=compared)
-        # What is left is known by now, but for a part, without a finer simulation yet.
+        # Most of the remaining change is known at this point, without another, finer simulation.
         went = np.asarray(tighter.coordinate) - np.asarray(state.coordinate)
         before = np.asarray(state.inner.residual) + state.jacobian.times(went)
         left = change + before - np.asarray(tighter.inner.residual)
@@ -155,12 +167,12 @@ def with_suitable_tolerance(state: FitState) -> FitState:
 
 
 def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState | None:
-    """The point at which no step lowers the cost, where that may be the tolerance's fault.
+    """Return the state at a finer tolerance if the tolerance may be why no step lowers the cost.
 
-    Steps of the integrator come and go as the parameters change, by which residuals jump. Near the
-    optimum the jumps of the cost are larger than what a step could gain. None where the tolerance
-    is stated or as fine as may be, or the cost smooth enough; whether it is smooth is not asked
-    where it is `surely` the tolerance.
+    The number of integrator steps varies with the parameters, which makes the residuals jump. Near
+    the optimum these jumps of the cost exceed the gain of a step. The function returns None if the
+    tolerance is specified or as fine as permitted, or if the cost is sufficiently smooth. With
+    `surely`, the smoothness is not tested.
     """
     if not state.setup.chooses_tolerance:
         return None
@@ -173,10 +185,10 @@ def with_finer_tolerance(state: FitState, *, surely: bool = False) -> FitState |
 
 
 def can_improve(state: FitState) -> bool:
-    """Whether a step from an optimum would move it by more than the tolerance may.
+    """Return whether a step from an optimum would move it by more than the tolerance may.
 
-    A fit that chooses its tolerance ends as near to the optimum as that requires, unless the last
-    step was refused.
+    A fit that chooses its tolerance continues until it is as near to the optimum as that requires,
+    unless the last step was rejected.
     """
     if not (state.setup.chooses_tolerance and bool(state.inner.accepted)):
         return False
@@ -184,16 +196,16 @@ def can_improve(state: FitState) -> bool:
 
 
 def finer_factor(state: FitState) -> float:
-    """What a tolerance, or what the model has in its place, is multiplied by to be compared."""
+    """Return the factor on the tolerance, or on the model's own step size, for the comparison."""
     if state.tolerance is None:
         return 0.5
     return _FINER_OF_MANY if has_many_rows(state) else FINER
 
 
 def residual_change(state: FitState) -> Float[np.ndarray, " residual"]:
-    """What a finer tolerance changes of the residuals.
+    """Return the change of the residuals at a finer tolerance.
 
-    NaN where the finer simulation fails, or the model cannot be refined.
+    The change is NaN if the finer simulation fails or the model cannot be refined.
     """
     if state.finer is not None:
         return state.finer
@@ -207,7 +219,7 @@ def residual_change(state: FitState) -> Float[np.ndarray, " residual"]:
 def _tightened(
     state: FitState, factor: float = _TIGHTER, shift: np.ndarray | float = 0.0
 ) -> FitState | None:
-    """The point, shifted within its bounds, evaluated with a finer tolerance."""
+    """Return the state, shifted within its bounds, evaluated at a finer tolerance."""
     tolerance = state.tolerance
     if tolerance is None or tolerance < _FINEST * 1.5:
         return None
@@ -222,21 +234,21 @@ def _tightened(
 
 
 def _allowed(state: FitState) -> float:
-    """What may change along a unit direction: residuals larger than the noise widen the errors."""
+    """Return the permitted change along a unit direction, larger if residuals exceed the noise."""
     return _ALLOWED * max(1.0, state.residual_scale())
 
 
 def _explained(state: FitState, row: np.ndarray) -> Float[np.ndarray, " direction"]:
-    """The part of a row of residuals that parameters can explain: Q^T of it, but for a rotation."""
+    """Return the part of a row of residuals that parameters explain: Q^T row, up to a rotation."""
     singular, directions = _told(state)
     return directions @ state.jacobian.transposed_times(row) / singular
 
 
 def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter"]:
-    """Where an optimum lies, to first order, where the residuals change by a row, from here.
+    """Return the shift of the optimum if the residuals change by `row`, to first order.
 
-    No step has to find it there then. Nothing where the state is none, or it would be too far; what
-    is at a bound stays there.
+    The shift saves the step that would find the new optimum. It is zero if the state is not an
+    optimum or if the shift is too large. Parameters at a bound stay there.
     """
     stays = np.zeros(state.problem.size)
     if not (state.converged and np.linalg.norm(_explained(state, row)) < _NEAR):
@@ -250,9 +262,11 @@ def _followed(state: FitState, row: np.ndarray) -> Float[np.ndarray, " parameter
 
 
 def _told(state: FitState, free: np.ndarray | bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """How much the residuals change along each direction that the data tell, shape (direction,).
+    """Return the singular values and the directions that the data determine.
 
-    And the directions, in coordinates, shape (direction, parameter); `free` ones alone.
+    Returns:
+        Change of the residuals along each direction, shape (direction,), and the directions in
+        coordinates, shape (direction, parameter). Only `free` coordinates are included.
     """
     jacobian = state.jacobian
     norms = jacobian.norms()
@@ -263,19 +277,27 @@ def _told(state: FitState, free: np.ndarray | bool = True) -> tuple[np.ndarray, 
     return singular[told], directions[told] * sizes
 
 
-# Differences in the free coordinate, central where not said otherwise, at a tolerance where the
-# steps of the integrator do not show: truncation and noise are then both near 1e-8.
+# Finite differences in the free coordinate are central unless stated otherwise. They are computed
+# at a tolerance at which the steps of the integrator are negligible. The truncation error and the
+# numerical noise are then both near 1e-8.
 _DIFFERENCE = 1e-4
 _DIFFERENCE_32 = 3e-2
 _FINER = 1e-3
 
-# A response smaller than this part of that of all runs is rather noise.
+# A response smaller than this fraction of the response of all runs is mainly numerical noise.
 _TOLD = 1e-3
 _FINE = 1e-9
 
 
 class Checks(NamedTuple):
-    """All checks, None or nothing where one could not be done, and whether Ctrl-C came between."""
+    """All checks. A check that could not be done is None or empty.
+
+    Attributes:
+        gradient: check of the Jacobian against a finite difference.
+        tolerance: effect of the integrator tolerance on the estimates.
+        curvatures: curvature along each checked parameter, by position.
+        interrupted: whether Ctrl-C was pressed during the checks.
+    """
 
     gradient: GradientCheck | None
     tolerance: ToleranceEffect | None
@@ -284,7 +306,7 @@ class Checks(NamedTuple):
 
 
 def checks(state: FitState, statistics: Statistics) -> Checks:
-    """The checks of a fit; it is done, and worth keeping, when Ctrl-C comes here."""
+    """Return the checks of a finished fit. After Ctrl-C the completed checks are kept."""
     done = Checks(None, None, {}, interrupted=True)
     with contextlib.suppress(KeyboardInterrupt):
         done = done._replace(gradient=gradient_check(state, statistics))
@@ -294,16 +316,19 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
 
 
 def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
-    """The Jacobian against a difference at the optimum, at a finer tolerance.
+    """Compare the Jacobian with a finite difference at the optimum, at a finer tolerance.
 
-    The finer one is 1e-10 at least. One direction in which every parameter has the same weight
-    in the residual: a wrong column of any of them shows. Parameters at a bound take no part,
-    because there is nothing beyond it to take a difference with, nor do those that nothing
-    responds to where they ended. Of many runs with the same channels, whose derivatives are one
-    program, a few are looked at. Of recordings with many rows the tolerance is that of the fit,
-    and in 64 bit the difference is to one side: the steps of the integrator then show, by some
-    1e-4, but a wrong column still does, and the finer Jacobian would take as long as the fit.
-    None where no parameter is left, or a simulation fails.
+    The finer tolerance is at least 1e-10. The difference is taken along one direction in which
+    every parameter has the same weight in the residual, so an error in any column shows. Parameters
+    at a bound are excluded, because no difference can be taken beyond it. Parameters to which no
+    channel responds at their final values are excluded, too. If many runs have the same channels, a
+    few of them are checked, because one program differentiates all of them. For recordings with
+    many rows, the tolerance is that of the fit, because a finer Jacobian would take as long as the
+    fit. In 64 bit their difference is one-sided. The steps of the integrator then contribute about
+    1e-4, which is still small enough to detect a wrong column.
+
+    Returns:
+        The comparison, or None if no parameter is left or a simulation fails.
     """
     tolerance = state.tolerance
     known_here = tolerance is not None and has_many_rows(state)
@@ -322,15 +347,15 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     takes_part = np.zeros(problem.size, bool)
     takes_part[statistics.alive] = True
     takes_part[list(statistics.bounds)] = False
-    # Beyond a bound there is nothing to take a difference with.
+    # The difference cannot be taken beyond a bound.
     first, last = problem.bijector.ends()
-    # Of few runs, one that hardly responds to a parameter says nothing of its derivative.
+    # If few runs are sampled and hardly respond to a parameter, they do not test its derivative.
     told = norms > _TOLD * state.jacobian.norms()
     takes_part &= told & (centre - first > offset) & (np.asarray(last) - centre > offset)
     if not np.any(takes_part):
         return None
     weakest = np.min(norms[takes_part])
-    # The strongest response gets the smallest offset; the weakest parameter moves by the step.
+    # The strongest response gets the smallest offset, and the weakest parameter moves by the step.
     direction = np.divide(weakest, norms, out=np.zeros_like(norms), where=takes_part)
 
     def at(shift: float) -> np.ndarray:
@@ -345,7 +370,7 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     if not np.isfinite(relative):
         return None
     known = statistics.labels[: problem.shared]
-    # The same program differentiates by the value that a parameter has in other runs.
+    # The same program differentiates with respect to the values of the parameter in other runs.
     elsewhere = ~told
     elsewhere[list(statistics.bounds)] = False
     for places in map(list, problem.positions):
@@ -359,11 +384,11 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
 
 
 def tolerance_effect(state: FitState, statistics: Statistics) -> ToleranceEffect | None:
-    """How far the optimum moves, to first order, with a finer solver tolerance.
+    """Return the first-order shift of the optimum at a finer integrator tolerance.
 
-    A hundredth of it, or a tenth for recordings with many rows; of a model that has no tolerance,
-    but steps of its own, half of those. None where nothing is determined, or nothing finer
-    succeeds.
+    The finer tolerance is one hundredth of the current one, or one tenth for recordings with many
+    rows. If the model has fixed steps instead of a tolerance, the steps are halved. The result is
+    None if no parameter is determined or the finer simulation fails.
     """
     determined = list(statistics.determined)
     if not determined:

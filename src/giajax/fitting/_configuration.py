@@ -1,4 +1,4 @@
-"""What a fit is asked: which parameters are free and tied, checked before anything is evaluated."""
+"""Configuration of a fit: free and tied parameters, checked before the model is evaluated."""
 
 import dataclasses
 import functools
@@ -39,14 +39,14 @@ _FUNCTIONS = {"sqrt": jnp.sqrt, "exp": jnp.exp, "log": jnp.log}
 
 @dataclasses.dataclass(frozen=True)
 class Tie:
-    """A parameter that follows from others.
+    """Parameter that is computed from other parameters.
 
     Attributes:
-        path: of the parameter, which may be an array.
-        expression: what it follows from.
-        elements: paths of its elements that follow; those of an array that the expression itself
-            names do not, as in `links.mass = links.mass[0]`.
-        lower, upper: its bounds.
+        path: path of the parameter, which may be an array.
+        expression: expression that gives the value of the parameter.
+        elements: paths of the elements that are tied. Elements that the expression itself names are
+            not tied, as in `links.mass = links.mass[0]`.
+        lower, upper: bounds of the parameter.
     """
 
     path: str
@@ -57,10 +57,10 @@ class Tie:
 
     @classmethod
     def of(cls, model: eqx.Module, path: str, text: str) -> Self:
-        """The tie of a path to what an expression says.
+        """Return the tie of a path to an expression.
 
         Raises:
-            InputError: no expression, or an unknown path in it.
+            InputError: the expression is invalid, or it contains an unknown path.
         """
         try:
             expression = Expression.parse(text)
@@ -79,14 +79,14 @@ class Tie:
         )
 
     def values(self, model: eqx.Module) -> Array:
-        """What the expression comes to, of the shape of the parameter; differentiable."""
+        """Evaluate the expression in the shape of the parameter (differentiable)."""
         value = jnp.asarray(self.expression.value(lambda path: get(model, path), _FUNCTIONS))
         old = get(model, self.path)
         if value.ndim and value.shape != old.shape:
             raise InputError(
                 f"'{self.path}' has {old.size} element{'s' * (old.size != 1)}, but the expression "
-                f"of its tie has {value.size} values: tie it to one value, or to one for each "
-                "element"
+                f"of its tie has {value.size} values: tie it to one value, or to one value "
+                "for each element"
             )
         if not old.ndim:
             return value
@@ -95,13 +95,13 @@ class Tie:
 
 
 def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...]:
-    """The ties of a model, in an order in which each follows from what is known before it.
+    """Return the ties of a model, sorted so that each depends only on earlier ones.
 
-    What the model leaves out must be switched on.
+    Effects that the model omits must be switched on before.
 
     Raises:
-        InputError: no expression, an unknown path, a parameter that is tied twice or follows from
-            itself, or another number of values than elements.
+        InputError: an invalid expression, an unknown path, a parameter that is tied twice or
+            depends on itself, or a number of values that differs from the number of elements.
     """
     ties = [Tie.of(model, path, text) for path, text in texts.items()]
     owners: dict[str, int] = {}
@@ -134,20 +134,23 @@ def resolved_ties(model: eqx.Module, texts: Mapping[str, str]) -> tuple[Tie, ...
 
 
 def tied(model: Module, ties: Sequence[Tie]) -> Module:
-    """The model in which each tied parameter follows from the others; differentiable."""
+    """Return the model with the value of each tied parameter computed from the others.
+
+    The function is differentiable.
+    """
     for tie in ties:
         model = replace(model, {tie.path: tie.values(model)})
     return model
 
 
 def _check_values(model: eqx.Module, paths: Iterable[str]) -> None:
-    """Refuse values beyond the bounds of their parameters."""
+    """Refuse values outside the bounds of their parameters."""
     for element in (element for path in paths for element in elements(model, path)):
         check_within_bounds(element, float(element.value(model)), free=False)
 
 
 def within_bounds(model: eqx.Module, ties: Sequence[Tie]) -> Bool[Array, ""]:
-    """Whether all tied parameters are within their bounds."""
+    """Return whether all tied parameters are within their bounds."""
     inside = [
         jnp.all((tie.lower <= value) & (value <= tie.upper))
         for tie in ties
@@ -158,12 +161,13 @@ def within_bounds(model: eqx.Module, ties: Sequence[Tie]) -> Bool[Array, ""]:
 
 @dataclasses.dataclass(frozen=True)
 class WarmStart:
-    """What a fit takes from where another one ended.
+    """Final values of another fit, from which a fit starts.
 
     Attributes:
-        model: the kind of model that was fitted.
-        values: of the parameters that were free or fixed there, by path, SI.
-        own: of the parameters of single runs, by the run's name and their path, SI.
+        model: kind of the fitted model.
+        values: values of the parameters that were free or fixed in that fit, by path, SI units.
+        own: values of the parameters of single runs, by the name of the run and their path, SI
+            units.
     """
 
     model: str
@@ -171,10 +175,10 @@ class WarmStart:
     own: Mapping[str, Mapping[str, float]] = dataclasses.field(default_factory=dict)
 
     def values_for(self, model: AbstractModel) -> Mapping[str, Any]:
-        """The values, where this model has all of their parameters.
+        """Return the values, if this model has all of their parameters.
 
         Raises:
-            InputError: it has no model of that kind, or lacks one.
+            InputError: the model is of a different kind, or lacks one of the parameters.
         """
         if not set(self.model.split("+")) <= set(model.kind.split("+")):
             raise InputError(
@@ -186,19 +190,24 @@ class WarmStart:
             for path, value in self.values.items():
                 check_count(whole, path, value)
         except InputError as error:
-            raise InputError(f"the fit for the warm start has other parameters: {error}") from None
+            raise InputError(
+                f"the fit for the warm start has different parameters: {error}"
+            ) from None
         return self.values
 
 
 def between(value: float, lower: float, upper: float, *, margin: float = 0.0) -> float:
-    """The nearest value strictly between two bounds, which may be infinite.
+    """Return the nearest value strictly between two bounds, which may be infinite.
 
-    By a margin at least, which is less than half of the way between two.
+    Arguments:
+        value: value to limit.
+        lower, upper: bounds.
+        margin: minimum distance from a bound, less than half the distance between the bounds.
     """
     if np.isfinite(lower) and np.isfinite(upper):
         margin = max(margin, 1e-9 * (upper - lower))
         return float(np.clip(value, lower + margin, upper - margin))
-    # Next to 0 are numbers that a logarithm does not take.
+    # Exclude subnormal numbers next to 0, whose logarithm may fail.
     margin = max(margin, float(np.finfo(float).tiny))
     if np.isfinite(lower):
         return max(value, lower + margin, float(np.nextafter(lower, np.inf)))
@@ -207,26 +216,26 @@ def between(value: float, lower: float, upper: float, *, margin: float = 0.0) ->
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
-    """What a fit is asked, resolved once: `set_up` makes it, `solve` fits it.
+    """Resolved configuration of a fit. `set_up` creates it, and `solve` fits it.
 
     Attributes:
-        model: with the start values and what is fixed.
-        runs: what is fitted to.
-        settings: as they were given.
-        parameters: the scalar parameters to fit, apart from those of single runs; each declares
-            the bounds of this fit.
-        unstarted: paths of those that have no start of the caller's.
-        own: where the parameters of single runs start, by the run's name and their path, where
-            that is not as the run is prepared.
-        config: the same as plain data, `config` of the result: two fits of the same data with
-            the same one have the same result.
-        priors: what is known of parameters before, by the path of an element.
-        ties: parameters that follow from others, in their order.
-        groups: by path of an element, the runs (by position) that share a value of it; what is
-            not in it, all runs share.
-        reopened: whether the tolerance that the model has is one that another fit chose.
-        suited: the tolerance that suited another fit of the same data, for one that chooses its
-            own: it begins there, and looks at the end alone whether it suits.
+        model: model with the initial values and the fixed values.
+        runs: runs to which the model is fitted.
+        settings: settings as they were given.
+        parameters: free scalar parameters, except those of single runs. Each declares the bounds of
+            this fit.
+        unstarted: paths of the free parameters without an initial value from the caller.
+        own: initial values of the parameters of single runs, by the name of the run and their path,
+            if they differ from the prepared run.
+        config: the configuration as plain data, `config` of the result. Two fits of the same data
+            with the same configuration have the same result.
+        priors: priors of parameters, by the path of an element.
+        ties: parameters that are computed from others, in order of evaluation.
+        groups: runs (by position) that share a value, by the path of an element. A path that is not
+            included has one value for all runs.
+        reopened: whether another fit chose the tolerance of the model.
+        suited: tolerance that another fit of the same data chose. A fit that chooses its own
+            tolerance begins with it, and checks it only at the end.
     """
 
     model: AbstractModel
@@ -244,47 +253,47 @@ class Setup:
 
     @property
     def layout(self) -> Layout:
-        """Where the values of the parameters stand in the free coordinate."""
+        """Positions of the parameter values in the free coordinate."""
         return Layout.of([p.path for p in self.parameters], self.groups, len(self.runs))
 
     def starts(self) -> list[float]:
-        """Start values of the parameters, where they stand in the free coordinate."""
+        """Return the initial parameter values at their positions in the free coordinate."""
         starts = [0.0] * self.layout.size
         for column, parameter in enumerate(self.parameters):
             value, path = float(parameter.value(self.model)), parameter.path
             bounds = parameter.declaration.lower, parameter.declaration.upper
             for run, places in zip(self.runs, self.layout.of_runs, strict=True):
-                # Where another fit had a value for each group of runs, each begins at its own.
+                # If another fit had values for groups of runs, each group starts at its own.
                 known = self.own.get(run.name, {}) if path in self.groups else {}
                 starts[places[column]] = between(known[path], *bounds) if path in known else value
         return starts
 
     @property
     def nuisances(self) -> tuple[str, ...]:
-        """Paths of what is free because it is always uncertain."""
+        """Paths of the nuisance parameters, which are free because they are always uncertain."""
         return tuple(self.config.get("nuisances", ()))
 
     @functools.cached_property
     def loss(self) -> AbstractLoss:
-        """How a large residual counts."""
+        """Loss function of the fit, which weights large residuals."""
         return loss_of(self.settings.loss)
 
     @functools.cached_property
     def chooses_tolerance(self) -> bool:
-        """Whether the fit chooses the tolerance of an integrator, where it is not stated."""
+        """Whether the fit chooses the integrator tolerance, because none is specified."""
         integration = capabilities.integration(self.model)
-        # 32-bit rounding hides what a finer tolerance changes.
+        # Rounding in 32 bit hides the effect of a finer tolerance.
         if integration is None or jnp.result_type(float) == jnp.float32:
             return False
         return self.reopened or integration.tolerance is None
 
     def at_start(self) -> Self:
-        """With the model where the fit may start (`giajax.models.capabilities.at_start`)."""
+        """Return the setup with the model at its start (`giajax.models.capabilities.at_start`)."""
         model = tied(capabilities.at_start(self.model, self.runs, self.unstarted), self.ties)
         return dataclasses.replace(self, model=model, unstarted=())
 
     def started_at(self, values: Mapping[str, float]) -> Self:
-        """With other start values of the parameters to fit, by path."""
+        """Return the setup with different initial values of the free parameters, by path."""
         model = tied(replace(self.model, values), self.ties)
         return dataclasses.replace(self, model=model, unstarted=())
 
@@ -297,10 +306,19 @@ def _resolved(
     reached: Mapping[str, Any],
     nuisances: Sequence[str],
 ) -> Setup:
-    """What is free in a fit, with the values that another one `reached`, without its `config`.
+    """Resolve the free parameters of a fit, without its `config`.
+
+    Arguments:
+        model: model of the runs.
+        runs: runs to fit.
+        settings: settings of the fit.
+        groups: names of the runs that share a value, by path.
+        reached: final values of another fit, by path.
+        nuisances: paths of the nuisance parameters.
 
     Raises:
-        InputError: an unknown path, two that contradict each other, or a value outside its bounds.
+        InputError: an unknown path, two paths that contradict each other, or a value outside its
+            bounds.
     """
     free, start, fix, ties = settings.free, settings.start, settings.fix, settings.ties
     asked = [*(free or ()), *nuisances, *groups]
@@ -320,7 +338,7 @@ def _resolved(
     following = dict.fromkeys(path for tie in order for path in tie.elements)
     for path in (*asked, *fix, *start):
         if all(element.path in following for element in elements(model, path)):
-            how = "free" if path in asked else "fixed" if path in fix else "given a start"
+            how = "free" if path in asked else "fixed" if path in fix else "given an initial value"
             raise InputError(
                 f"'{path}' is tied to other parameters and also {how}: omit one of the two"
             )
@@ -335,12 +353,12 @@ def _resolved(
     parameters |= _bounded(model, parameters, settings.bounds)
     known = _element_priors(model, runs, parameters, settings.known)
     begun = {element.path for path in (*reached, *start) for element in elements(model, path)}
-    # What is known of a parameter is the best place to begin.
+    # The mean of a prior is the best initial guess.
     expected = {path: p.value for path, p in known.items() if path in parameters}
     expected = {path: value for path, value in expected.items() if path not in begun}
     model = replace(model, expected)
     _check_values(model, fix)
-    # A fit may end on a bound, where none can start.
+    # A fit may end on a bound, but cannot start there.
     ended = (element for path in reached for element in elements(model, path))
     inside = {
         e.path: between(float(e.value(model)), e.declaration.lower, e.declaration.upper)
@@ -373,7 +391,7 @@ def _resolved(
 def _bounded(
     model: AbstractModel, parameters: Mapping[str, Parameter], bounds: Mapping[str, Sequence[float]]
 ) -> dict[str, Parameter]:
-    """The free parameters that have bounds in this fit, with these."""
+    """Return the free parameters whose bounds this fit sets, with these bounds."""
     bounded: dict[str, Parameter] = {}
     for path, pair in bounds.items():
         if np.shape(pair) != (2,) or not np.all(np.isfinite(pair)) or not pair[0] < pair[1]:
@@ -386,8 +404,8 @@ def _bounded(
             declaration = element.declaration
             if low < declaration.lower or high > declaration.upper:
                 raise InputError(
-                    f"the bounds {low:g} and {high:g} of '{path}' exceed its permitted "
-                    f"range: stay between {declaration.lower:g} and {declaration.upper:g}"
+                    f"the bounds {low:g} and {high:g} of '{path}' exceed its permitted range: "
+                    f"choose bounds between {declaration.lower:g} and {declaration.upper:g}"
                 )
             narrow = dataclasses.replace(declaration, lower=low, upper=high)
             bounded[element.path] = dataclasses.replace(element, declaration=narrow)
@@ -400,9 +418,9 @@ def _element_priors(
     parameters: Mapping[str, Parameter],
     priors: Mapping[str, Prior],
 ) -> dict[str, Prior]:
-    """The priors by element; those of single runs' parameters as they are."""
+    """Return the priors by element. Priors of parameters of single runs keep their paths."""
     known: dict[str, Prior] = {}
-    # What is said of one element goes before what is said of all.
+    # A prior of one element takes precedence over a prior of all elements.
     for path, prior in sorted(priors.items(), key=lambda item: "[" in item[0]):
         if path.partition("[")[0] not in declared(model) and path in _own_paths(model, runs):
             known[path] = prior
@@ -426,7 +444,7 @@ def _element_priors(
 def _free_elements(
     model: AbstractModel, path: str, parameters: Mapping[str, Parameter], what: str
 ) -> list[Parameter]:
-    """The free ones among the elements of a path, of which there must be one."""
+    """Return the free elements of a path. At least one element must be free."""
     parts = elements(model, path)
     free = [parameters[part.path] for part in parts if part.path in parameters]
     if not free:
@@ -435,12 +453,12 @@ def _free_elements(
 
 
 def element_labels(path: str, size: int) -> list[str]:
-    """Names of the elements of what is free in a run by its nature."""
+    """Return the names of the elements of a parameter that is free in each run."""
     return [f"{path}[{index}]" for index in range(size)] if size > 1 else [path]
 
 
 def _own_paths(model: AbstractModel, runs: Sequence[Run]) -> set[str]:
-    """Paths of what is free in single runs, with and without an index."""
+    """Return the paths of the free parameters of single runs, with and without an index."""
     paths: set[str] = set()
     for run in runs:
         for path in capabilities.free_inputs(model, run):
@@ -457,16 +475,17 @@ def set_up(
     begin: WarmStart | None = None,
     **keywords: Unpack[StartsKeywords],
 ) -> Setup:
-    """Check and resolve what a fit is asked, without evaluating the model, for `solve`.
+    """Check and resolve the configuration of a fit for `solve`, without evaluating the model.
 
     Arguments:
-        model, runs: as of `fit`.
-        settings: of the fit; what is for a task (`hold_out`, say) does nothing here.
-        begin: where another fit ended, which goes before `start`; `fix` goes before both.
-        **keywords: as of `fit` and `multi_start`, in place of `settings`.
+        model, runs: as in `fit`.
+        settings: settings of the fit. Settings for a task (such as `hold_out`) have no effect here.
+        begin: final values of another fit. They take precedence over `start`, and `fix` takes
+            precedence over both.
+        **keywords: as in `fit` and `multi_start`, instead of `settings`.
 
     Raises:
-        InputError: as `fit`, apart from a start that cannot be evaluated.
+        InputError: as in `fit`, except for an initial guess that cannot be evaluated.
     """
     settings = fit_settings(keywords, settings=settings)
     runs = (runs,) if isinstance(runs, Run) else tuple(runs)
@@ -500,7 +519,7 @@ def _config(
     begin: WarmStart | None,
     nuisances: Sequence[str],
 ) -> dict[str, Any]:
-    """The settings as they were resolved, as plain data: `config` of the result."""
+    """Return the resolved settings as plain data: `config` of the result."""
     settings, integration = setup.settings, capabilities.integration(setup.model)
     limits = {
         "priors": {path: prior.contents() for path, prior in settings.known.items()},
@@ -523,13 +542,13 @@ def _config(
         # None for a model without an integrator.
         "solver": None if integration is None else integration.solver,
         "tolerance": None if integration is None else integration.tolerance,
-        # What a fit does not have, its configuration does not mention.
+        # The configuration omits empty settings.
         **{name: value for name, value in limits.items() if value},
     }
 
 
 def _in_words(optimiser: Any) -> str:
-    """The class of an optimiser and its numbers; empty for giajax's own."""
+    """Return the class and the numbers of an optimiser, or an empty string for giajax's own."""
     if optimiser is None:
         return ""
     fields = {each.name: getattr(optimiser, each.name) for each in dataclasses.fields(optimiser)}
@@ -538,7 +557,7 @@ def _in_words(optimiser: Any) -> str:
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by path as a result states them: numbers, and lists of several."""
+    """Return values by path as in a result: a number, or a list of several numbers."""
     return {
         path: value[0] if isinstance(value, list) and len(value) == 1 else value
         for path, value in values.items()
@@ -546,7 +565,7 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _about(run: Run, model: AbstractModel) -> dict[str, Any]:
-    """What of a run a fit depends on, beside its data and the constants of the model."""
+    """Return the properties of a run that affect a fit, besides its data and model constants."""
     sidecar = run.definition.contents()
     about: dict[str, Any] = {key: sidecar[key] for key in run_keys(model=False) if key in sidecar}
     if run.model != model.kind:
@@ -559,7 +578,7 @@ def _about(run: Run, model: AbstractModel) -> dict[str, Any]:
 
 
 def _check_determined(setup: Setup) -> None:
-    """Refuse a fit of nothing, and one of more parameters than there are values and priors."""
+    """Refuse a fit without parameters, or with more parameters than measured values and priors."""
     paths = [p.path for p in setup.parameters for _ in setup.groups.get(p.path, [setup.runs])]
     for run in setup.runs:
         inputs = setup.model.prepare(run)
@@ -570,7 +589,7 @@ def _check_determined(setup: Setup) -> None:
     measured = sum(
         int(np.sum(~np.isnan(v))) for run in setup.runs for v in run.observations.values()
     )
-    # A prior is a row of the residual for each value that it is of.
+    # A prior adds one row of the residual for each value to which it applies.
     known = sum(prior_of(setup.priors, path) is not None for path in paths)
     if measured + known <= len(paths):
         raise InputError(
@@ -580,7 +599,10 @@ def _check_determined(setup: Setup) -> None:
 
 
 def _check_together(setup: Setup) -> None:
-    """Refuse a fit of runs of several kinds that have nothing in common: a mistake, or two fits."""
+    """Refuse a joint fit of runs of several models that share no parameter.
+
+    Such a fit is a mistake, or two separate fits.
+    """
     kinds = dict.fromkeys(run.model for run in setup.runs)
     if len(kinds) < 2:
         return
@@ -597,18 +619,18 @@ def _check_together(setup: Setup) -> None:
     ]
     if not joins and not any(p.is_shared for p in setup.parameters):
         raise InputError(
-            f"no free parameter is shared by any two of the models of these runs, "
-            f"{' and '.join(kinds)}: free or tie a shared parameter, or fit the models separately"
+            f"the models of these runs, {' and '.join(kinds)}, share no free parameter: free or "
+            "tie a shared parameter, or fit the models separately"
         )
 
 
 def _check_doubles(runs: Sequence[Run]) -> None:
-    """Refuse a recording that is there twice: standard errors would shrink for nothing."""
+    """Refuse a recording that is given twice, because its standard errors would be too small."""
     seen: dict[tuple[str, float], str] = {}
     for run in runs:
         if run.sha256 is None:
             continue
-        # Windows of one recording are several runs.
+        # Several windows of one recording are separate runs.
         part = (run.sha256, 0.0 if run.times is None else float(run.times[0]))
         if part in seen:
             raise InputError(

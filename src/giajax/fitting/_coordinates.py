@@ -1,4 +1,4 @@
-"""From a coordinate that a fit moves along to a parameter within its bounds, and back."""
+"""Maps between the free coordinate of a fit and parameters within their bounds."""
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
@@ -14,29 +14,30 @@ from ..recordings import Run
 from ..runtime.arrays import Array, Float, on_device
 from ..runtime.text import InputError
 
-# Part of the distance between a start and its bound within which the coordinate is linear: so much
-# that what was driven to its bound by mistake comes back as it went. With all of it a first step
-# may lead to the bound, which costs kinked operators their optimum.
+# Fraction of the distance between an initial value and its bound within which the coordinate is
+# linear. It is so large that a parameter that was driven to its bound by mistake can return. With
+# the whole distance, a first step may lead to the bound, and models with kinked operators then miss
+# their optimum.
 _NEAR = 0.5
 
-# A start that is nearer to its bound than this part of the size of the parameter is at it.
+# An initial value is at its bound if it is nearer than this fraction of the size of the parameter.
 _AT_BOUND = 1e-6
 
 
 class Bijector(eqx.Module):
-    """Smooth, increasing map of an interval of coordinates onto the one between two bounds.
+    """Smooth increasing map of an interval of coordinates onto the interval between two bounds.
 
-    Far from a bound the coordinate is a logarithm of the distance from it, so that a step is a
-    relative change and a poor model of the cost cannot send a parameter far. Near the bound it is
-    linear in the parameter and ends there: a logarithm would go on for ever towards an optimum
-    that is at the bound, and would bend every valley on the way. A parameter without bounds is
-    its own coordinate.
+    Far from a bound, the coordinate is a logarithm of the distance from it. A step is then a
+    relative change, and a poor model of the cost cannot send a parameter far away. Near the bound,
+    the coordinate is linear in the parameter and ends there. A logarithm would never reach an
+    optimum at the bound, and would bend every valley on the way. A parameter without bounds is its
+    own coordinate.
 
     Arguments:
-        lower, upper: bounds, infinite where there is none, shape (parameter,).
-        above_lower, below_upper: distances from a bound up to which the coordinate is linear,
-            shape (parameter,); not used where there is no bound.
-        last: coordinates of the upper bounds, infinite where there is none, shape (parameter,).
+        lower, upper: bounds, infinite if there is none, shape (parameter,).
+        above_lower, below_upper: distances from a bound up to which the coordinate is linear, shape
+            (parameter,). They are not used if there is no bound.
+        last: coordinates of the upper bounds, infinite if there is none, shape (parameter,).
     """
 
     lower: tuple[float, ...] = eqx.field(static=True)
@@ -53,7 +54,14 @@ class Bijector(eqx.Module):
         start: Sequence[float],
         size: npt.ArrayLike = 1.0,
     ) -> Self:
-        """The map for a fit from a start; sizes say how near is near where that is at a bound."""
+        """Return the map for a fit with given bounds and initial values.
+
+        Arguments:
+            lower, upper: bounds, infinite if there is none.
+            start: initial values.
+            size: typical sizes of the parameters, which set the linear range if an initial value is
+                at a bound.
+        """
         low, high, begun = (np.asarray(each, dtype=float) for each in (lower, upper, start))
         width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
         usual = np.minimum(size, width)
@@ -68,7 +76,7 @@ class Bijector(eqx.Module):
     def _linear_near(
         cls, low: np.ndarray, high: np.ndarray, above: np.ndarray, below: np.ndarray
     ) -> Self:
-        """The map that is linear so far above the lower bound and below the upper one."""
+        """Return the map that is linear within `above` and `below` the lower and upper bounds."""
         width = np.where(np.isfinite(low) & np.isfinite(high), high - low, np.inf)
         with np.errstate(invalid="ignore"):
             both = np.log1p(width / above) + np.log1p(width / below)
@@ -77,17 +85,21 @@ class Bijector(eqx.Module):
         return cls(tuple(low.tolist()), tuple(high.tolist()), *numbers)
 
     def distances(self) -> np.ndarray:
-        """How far above its lower bound a start is that has this map, shape (parameter,)."""
+        """Return the distances of the initial values of this map from the lower bounds.
+
+        Returns:
+            Distances, shape (parameter,).
+        """
         return np.asarray(self.above_lower, dtype=float) / _NEAR
 
     def linear_within(self, distances: npt.ArrayLike) -> Self:
-        """The map of starts that are so far above their lower bounds."""
+        """Return the map for initial values at these distances from their lower bounds."""
         low, high = np.asarray(self.lower), np.asarray(self.upper)
         above = _NEAR * np.asarray(distances, dtype=float)
         return self._linear_near(low, high, above, np.asarray(self.below_upper, dtype=float))
 
     def at(self, columns: Sequence[int] | np.ndarray) -> "Bijector":
-        """The map of some of the parameters, by their positions."""
+        """Return the map of some of the parameters, by their positions."""
         places = np.asarray(columns, dtype=int)
         return Bijector(
             tuple(self.lower[i] for i in places),
@@ -100,24 +112,24 @@ class Bijector(eqx.Module):
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         below, above = np.isfinite(lower), np.isfinite(upper)
-        # Stand-ins that keep the branches which are not taken free of NaN.
+        # Finite substitutes keep NaN out of the branches that are not taken.
         return below, above, np.where(below, lower, 0.0), np.where(above, upper, 1.0)
 
     def _near(self, maths: Any = np) -> tuple[Any, Any, Any]:
-        """The distances, and how soon the upper bound is felt: near / (width + near), or 0."""
+        """Return the linear ranges, and the influence near / (width + near) of the upper bound."""
         below, above, lower, upper = self._kinds()
         low, high = maths.asarray(self.above_lower), maths.asarray(self.below_upper)
         return low, high, maths.where(below & above, low / (upper - lower + high), 0)
 
     def forward(self, coordinate: Float[Any, " parameter"]) -> Float[Any, " parameter"]:
-        """Parameters at coordinates between those of their bounds; by NumPy for its arrays."""
+        """Return the parameters at coordinates within their ends, with NumPy for a NumPy array."""
         maths = np if isinstance(coordinate, np.ndarray) else jnp
         below, above, lower, upper = self._kinds()
         low, high, bend = self._near(maths)
-        # Of what has no such bound exp(t) may overflow, in the branch that is not taken.
+        # Without such a bound, exp(t) could overflow in the branch that is not taken.
         t = maths.where(below, coordinate, 0)
         up = lower + low * maths.expm1(t) / (1 + bend * maths.exp(t))
-        # Rounding must not lead beyond the bound; the slope there stays that of the map.
+        # Rounding must not exceed the bound. The slope there stays that of the map.
         beyond = maths.where(below & above, maths.maximum(up - upper, 0), 0)
         up = up - (beyond if maths is np else jax.lax.stop_gradient(beyond))
         t = maths.where(above & ~below, coordinate, 0)
@@ -125,7 +137,7 @@ class Bijector(eqx.Module):
         return maths.where(below, up, maths.where(above, down, coordinate))
 
     def inverse(self, value: np.ndarray) -> np.ndarray:
-        """Coordinates of parameters within the bounds."""
+        """Return the coordinates of parameters within the bounds."""
         below, above, lower, upper = self._kinds()
         value = np.asarray(value, dtype=float)
         low, high, bend = self._near()
@@ -136,7 +148,7 @@ class Bijector(eqx.Module):
         return np.where(below, up, np.where(above, down, value))
 
     def slope(self, coordinate: np.ndarray) -> np.ndarray:
-        """d(parameter)/d(coordinate), shape (parameter,)."""
+        """Return d(parameter)/d(coordinate), shape (parameter,)."""
         below, above, _, _ = self._kinds()
         coordinate = np.asarray(coordinate, dtype=float)
         low, high, bend = self._near()
@@ -147,32 +159,33 @@ class Bijector(eqx.Module):
         return np.where(below, up, np.where(above, down, 1.0))
 
     def ends(self) -> tuple[Float[Any, " parameter"], Float[Any, " parameter"]]:
-        """Coordinates of the lower and of the upper bounds, infinite where there is none."""
+        """Return the coordinates of the lower and the upper bounds, infinite if there is none."""
         first = np.where(np.isfinite(self.lower), 0.0, -np.inf)
         return np.asarray(first, self.last.dtype), self.last
 
 
-# From the real line to a parameter within its bounds, smoothly: what a sampler moves along.
+# A sampler moves along the real line, which is mapped smoothly to a parameter within its bounds.
 
 Row = Float[Array, " parameter"]
 
-_INSIDE = 0.5  # in widths: what ended nearer to a bound is seen from here
+_INSIDE = 0.5  # a value nearer to a bound than this number of widths is moved to this distance
 
-# Of the range of a parameter: its width is at most this, so that the two bounds are apart.
+# Largest width, as a fraction of the range of a parameter, which keeps the two bounds apart.
 _MOST_OF_RANGE = 0.25
 
 
 class Unbounded(eqx.Module):
-    """Increasing map of all numbers onto the interval between two bounds, which it never meets.
+    """Increasing map of all real numbers onto the open interval between two bounds.
 
-    A fit may end on a bound, and so its own map (`Bijector`) does; a sampler that reached the end
-    of it would have to turn back. This one is linear as long as a bound is many widths away, and
-    bends into an exponential within one width of it: lower + width softplus(u), and with an upper
-    bound as well lower + width (softplus(u) - softplus(u - range / width)).
+    A fit may end on a bound, so its map (`Bijector`) includes the bounds. A sampler that reached
+    the end of such a map would have to turn back. This map is linear if a bound is many widths
+    away, and becomes exponential within one width of it: lower + width softplus(u), and with an
+    additional upper bound lower + width (softplus(u) - softplus(u - range / width)).
 
     Attributes:
-        lower, upper: bounds, infinite where there is none, shape (parameter,).
-        width: how near to a bound is near, the standard error; shape (parameter,).
+        lower, upper: bounds, infinite if there is none, shape (parameter,).
+        width: distance from a bound at which the map begins to bend: the standard error, shape
+            (parameter,).
     """
 
     lower: tuple[float, ...] = eqx.field(static=True)
@@ -181,7 +194,7 @@ class Unbounded(eqx.Module):
 
     @classmethod
     def of(cls, lower: np.ndarray, upper: np.ndarray, width: np.ndarray) -> Self:
-        """The map for bounds and a width each, which the range of the parameter limits."""
+        """Return the map for bounds and widths, limited by the ranges of the parameters."""
         limited = np.isfinite(lower) & np.isfinite(upper)
         ranges = np.where(limited, upper - lower, np.inf)
         narrow = np.minimum(width, _MOST_OF_RANGE * ranges)
@@ -190,15 +203,20 @@ class Unbounded(eqx.Module):
         )
 
     def forward(self, u: Row) -> tuple[Row, Row, Row, Row]:
-        """Parameters, logs of their slopes by u, and the first and second derivatives of these."""
+        """Return the parameters, the logarithms of their slopes, and the derivatives of these.
+
+        Returns:
+            Parameters, logarithms of the slopes d(parameter)/du, and the first and second
+            derivatives of these logarithms with respect to u.
+        """
         below, above, lower, upper, end = self._kinds()
         plus, minus = jax.nn.softplus, jax.nn.log_sigmoid
         up = lower + self.width * (plus(u) - jnp.where(above, plus(u - end), 0))
         down = upper - self.width * (plus(end - u) - jnp.where(below, plus(-u), 0))
-        # The form whose terms do not cancel: that of the nearer bound.
+        # The form that belongs to the nearer bound avoids cancellation.
         from_below = below & (~above | (u < end / 2))
         value = jnp.where(from_below, up, jnp.where(above, down, self.width * u))
-        # Rounding must not lead beyond a bound.
+        # Rounding must not exceed a bound.
         value = jnp.clip(value, np.asarray(self.lower), np.asarray(self.upper))
         slope = jnp.log(self.width) + jnp.where(below, minus(u), 0)
         slope = slope + jnp.where(above, minus(end - u), 0)
@@ -210,7 +228,7 @@ class Unbounded(eqx.Module):
         return value, slope, first, second
 
     def inverse(self, value: np.ndarray) -> np.ndarray:
-        """Coordinates of parameters, those at a bound a little inside of it; by NumPy."""
+        """Return the coordinates of parameters, with NumPy. Values at a bound are moved inside."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         width = np.asarray(self.width)
         value = np.clip(value, lower + _INSIDE * width, upper - _INSIDE * width)
@@ -228,7 +246,7 @@ class Unbounded(eqx.Module):
         )
 
     def _kinds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Row]:
-        """Which bounds there are, with stand-ins for those that are not; where the upper one is."""
+        """Return which bounds exist, finite substitutes for the missing ones, and the upper end."""
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         below, above = np.isfinite(lower), np.isfinite(upper)
         lower, upper = np.where(below, lower, 0.0), np.where(above, upper, 0.0)
@@ -236,32 +254,31 @@ class Unbounded(eqx.Module):
         return below, above, lower, upper, end
 
 
-# Where the values of the model's parameters stand in the free coordinate.
-#
-# A parameter has one value for all runs, or one for each group of runs.
+# Positions of the values of the model's parameters in the free coordinate. A parameter has one
+# value for all runs, or one for each group of runs.
 
 Groups = Mapping[str, Sequence[Sequence[int]]]
-"""By path, the groups of runs (by position) that have a value of their own."""
+"""The groups of runs with separate values, by parameter path. Runs are given by position."""
 
 
 class Named(Protocol):
-    """A run, or what a result says of one."""
+    """A run, or the entry of a run in a result."""
 
     @property
     def name(self) -> str:
-        """Of the run."""
+        """Name of the run."""
 
     @property
     def recording(self) -> str:
-        """Name of the recording that it is, or is a window of."""
+        """Name of the recording to which the run belongs as a whole or as a window."""
 
 
 class Layout(NamedTuple):
     """Positions in the free coordinate, which begins with the parameters of the model.
 
     Attributes:
-        places: by parameter, the positions of its values: one, or one for each group of runs.
-        of_runs: by run, the position of the value of each parameter.
+        places: positions of the values of each parameter: one, or one for each group of runs.
+        of_runs: positions of the values of all parameters, for each run.
     """
 
     places: tuple[tuple[int, ...], ...]
@@ -269,7 +286,10 @@ class Layout(NamedTuple):
 
     @classmethod
     def of(cls, paths: Sequence[str], groups: Groups, runs: int) -> "Layout":
-        """The layout of parameters of some runs; what is in no group, all of them share."""
+        """Return the layout of the parameters of a number of runs.
+
+        A parameter without groups has one value for all runs.
+        """
         places, first = [], 0
         of_runs = np.zeros((runs, len(paths)), dtype=int)
         for column, path in enumerate(paths):
@@ -287,7 +307,7 @@ class Layout(NamedTuple):
 
 
 def names_of(runs: Sequence[Run]) -> str:
-    """Names of runs that share something, for a person; windows of one recording are one."""
+    """Return the names of runs that share a value. Windows of one recording are named once."""
     if len(runs) == 1:
         return f"'{runs[0].name}'"
     return ", ".join(dict.fromkeys(f"'{run.recording}'" for run in runs))
@@ -296,10 +316,12 @@ def names_of(runs: Sequence[Run]) -> str:
 def sharing(
     runs: Sequence[Run], per_run: Sequence[str], groups: Mapping[str, Sequence[Sequence[str]]]
 ) -> dict[str, list[list[str]]]:
-    """By path, names of the runs that share a value: each recording alone, or those of a group.
+    """Return the names of the runs that share a value of a parameter, by path.
+
+    A value is shared by all windows of one recording, or by the runs of a group.
 
     Raises:
-        InputError: a path is in both, or two recordings have one name.
+        InputError: a path is in both arguments, or two recordings have the same name.
     """
     recordings: dict[str, object] = {}
     for run in runs if per_run or groups else ():
@@ -321,10 +343,10 @@ def sharing(
 def members(
     path: str, runs: Sequence[Named], groups: Sequence[Collection[str]]
 ) -> tuple[tuple[int, ...], ...]:
-    """Positions of the runs in each group of a path, by their names or those of recordings.
+    """Return the positions of the runs in each group, given by names of runs or recordings.
 
     Raises:
-        InputError: a name that no run has, or a run that is not in exactly one group.
+        InputError: a name that does not belong to a run, or a run that is not in exactly one group.
     """
     known = {name for run in runs for name in (run.name, run.recording)}
     for name in (name for names in groups for name in names):

@@ -1,6 +1,7 @@
-"""The density of the parameters that a fit's least squares stand for, with its gradient.
+"""Probability density of the parameters that corresponds to a least-squares fit.
 
-The gradient is J^T r of the fit's own Jacobian: no reverse pass goes through an integrator.
+Its gradient is J^T r with the Jacobian of the fit, so no reverse pass through an integrator is
+needed.
 """
 
 import dataclasses
@@ -22,14 +23,14 @@ from ._problem import Problem
 from ._statistics import Statistics, weighted_residuals
 from ._uncertainty import inverse_gram
 
-_MOSTLY = 0.5  # a prior that says more than this of a parameter has set its standard error
+_MOSTLY = 0.5  # a prior with a larger share of the information has set the standard error
 
 
 def check_proper(statistics: Statistics, lower: np.ndarray, upper: np.ndarray) -> None:
     """Refuse a density whose integral is infinite.
 
     Raises:
-        InputError: naming what neither data nor bounds limit.
+        InputError: a parameter is limited neither by the data nor by bounds. The message names it.
     """
     open_ended = ~(np.isfinite(lower) & np.isfinite(upper))
     loose = [
@@ -40,16 +41,17 @@ def check_proper(statistics: Statistics, lower: np.ndarray, upper: np.ndarray) -
     if loose:
         raise InputError(
             "the posterior is improper, because neither the data nor two bounds limit "
-            f"{' and '.join(loose)}: fix it, or give it a prior or two bounds, and fit again"
+            f"{' and '.join(loose)}: fix each unlimited parameter, or give it a prior or two "
+            "bounds, and fit again"
         )
 
 
 def cost_scale(optimum: Optimum) -> float:
-    """What the cost is divided by, so that its curvature gives the reported standard errors.
+    """Return the divisor of the cost for which its curvature gives the reported standard errors.
 
-    With the usual loss that is the scale on the covariance, and what the errors of estimated noise
-    add to it; with a robust one the ratio of its sandwich to the inverse curvature. The geometric
-    mean over the parameters that are not mostly known by a prior.
+    For the linear loss it is the scale of the covariance, including the errors of estimated noise.
+    For a robust loss it is the ratio of the sandwich covariance to the inverse curvature. It is the
+    geometric mean over the parameters that are not mostly determined by a prior.
     """
     problem, statistics = optimum.state.problem, optimum.statistics
     jacobian = optimum.state.natural_jacobian
@@ -79,23 +81,23 @@ Row = Float[Array, " drawn"]
 
 
 class Density(eqx.Module):
-    """A density over free parameters, flat in the parameters themselves where there is no prior.
+    """Density over the free parameters, uniform in the parameters themselves without a prior.
 
-    A prior of a factor is log-normal, with its median where it is stated.
+    A prior with a factor is log-normal, and its stated value is its median.
 
-    The coordinate of a sampler, in which the density is about that of a standard normal variable,
-    is mapped by the covariance at the optimum to one without bounds (`Unbounded`), and that to the
+    The density of the sampler's coordinate is approximately standard normal. The covariance at the
+    optimum maps this coordinate to one without bounds (`Unbounded`), which is mapped to the
     parameters.
 
     Attributes:
-        problem: of the fit, whose coordinate is the parameters themselves.
-        held: values of all free parameters where the fit ended; those that no channel responds to
-            stay there.
-        bounds: of the parameters that are drawn.
-        centre: of their coordinate without bounds, shape (drawn,).
-        spread: a root of the covariance there, shape (drawn, drawn).
-        places: of them among all free parameters.
-        scale: what the cost of the measured values is divided by; that of priors is not.
+        problem: problem of the fit, whose coordinate is the parameters themselves.
+        held: values of all free parameters at the end of the fit. Parameters to which no channel
+            responds stay there.
+        bounds: bounds of the parameters that are drawn.
+        centre: coordinate without bounds at the optimum, shape (drawn,).
+        spread: matrix root of the covariance at the optimum, shape (drawn, drawn).
+        places: positions of the drawn parameters among all free parameters.
+        scale: divisor of the cost of the measured values. The cost of priors is not divided.
     """
 
     problem: Problem
@@ -107,14 +109,14 @@ class Density(eqx.Module):
     places: tuple[int, ...] = eqx.field(static=True)
 
     def values(self, z: Row) -> Float[Array, " parameter"]:
-        """All free parameters at a coordinate of the sampler, SI."""
+        """Return all free parameters at a coordinate of the sampler, SI units."""
         drawn = self.bounds.forward(self.centre + self.spread @ z)[0]
         return self.held.at[np.asarray(self.places)].set(drawn)
 
     def at(self, z: Row) -> tuple[Scalar, Row]:
-        """Minus the logarithm of the density of z, up to a constant, and its gradient.
+        """Return the negative log density of z, up to a constant, and its gradient.
 
-        Infinite, with a gradient of zero, where the model cannot be evaluated.
+        The result is infinite, with a gradient of zero, where the model cannot be evaluated.
         """
         values = self.values(z)
         row, _, factor, projected, prediction = linearise(values, self.problem)
@@ -131,11 +133,19 @@ class Density(eqx.Module):
     def energy(
         self, z: Row, cost: Any, by_values: Array, prior_cost: Any, by_priors: Array
     ) -> tuple[Scalar, Row]:
-        """What `at` is, of the cost, its gradient by all values, and those of the priors."""
+        """Return the result of `at` from the costs and their gradients.
+
+        Arguments:
+            z: coordinate of the sampler.
+            cost: cost of the measured values and the priors.
+            by_values: gradient of the cost with respect to all free parameters.
+            prior_cost: cost of the priors.
+            by_priors: gradient of the cost of the priors.
+        """
         _, slope, change, _ = self.bounds.forward(self.centre + self.spread @ z)
         energy = (cost - prior_cost) / self.scale + prior_cost - jnp.sum(slope)
         gradient = (by_values - by_priors) / self.scale + by_priors
-        # A normal density of the logarithm of p is one of p by its derivative, 1 / p.
+        # A normal density of log(p) is a density of p after multiplication by the derivative 1 / p.
         priors, values = self.problem.priors, self.values(z)
         columns = np.asarray(priors.columns, dtype=int)[np.asarray(priors.logarithmic, dtype=bool)]
         energy = energy + jnp.sum(jnp.log(values[columns]))
@@ -143,7 +153,7 @@ class Density(eqx.Module):
         return energy, self.spread.T @ (gradient * jnp.exp(slope) - change)
 
     def potential(self) -> Callable[[Row], Scalar]:
-        """Minus the logarithm of the density as a function that JAX can differentiate once."""
+        """Return the negative log density as a function that JAX can differentiate once."""
 
         @jax.custom_vjp
         def energy(z: Row) -> Scalar:
@@ -154,14 +164,14 @@ class Density(eqx.Module):
 
 
 def density_of(optimum: Optimum) -> Density:
-    """The density around an optimum, with the noise as it was fitted.
+    """Return the density around an optimum, with the noise of the fit.
 
-    Minus its logarithm is the cost in units of the noise, divided by what makes standard errors of
-    the curvature (`cost_scale`), and that of the priors; where a prior is of the logarithm of a
-    parameter, that logarithm too. A robust loss counts as a density up to a constant.
+    Its negative logarithm is the cost, divided by `cost_scale` so that its curvature gives the
+    standard errors, plus the cost of the priors. A prior of the logarithm of a parameter also
+    contributes that logarithm. A robust loss is used as a density up to a constant.
 
     Raises:
-        InputError: nothing bounds a parameter that the data do not determine.
+        InputError: a parameter is limited neither by the data nor by bounds.
     """
     state, statistics = optimum.state, optimum.statistics
     lower, upper = optimum.bounds
@@ -181,7 +191,7 @@ def density_of(optimum: Optimum) -> Density:
     rows = len(state.inner.residual)
     data = np.arange(rows) < rows - len(state.problem.priors.columns)
     root = state.natural_jacobian.reduced(np.where(data, 1 / np.sqrt(scale), 1.0))
-    # The derivative of the map has a curvature of its own, near a bound.
+    # The derivative of the map contributes curvature near a bound.
     whole = np.concatenate([root[:, places] * np.exp(slope), np.diag(np.sqrt(-second))])
     natural = Bijector.of([-np.inf] * size, [np.inf] * size, [0.0] * size)
     return Density(
@@ -196,7 +206,7 @@ def density_of(optimum: Optimum) -> Density:
 
 
 def energy_at(density: Density, optimum: Optimum, z: np.ndarray) -> tuple[float, np.ndarray]:
-    """As `Density.at`, by the programs of the fit, which are compiled already."""
+    """Evaluate `Density.at` with the programs of the fit, which are already compiled."""
     values = np.asarray(density.values(on_device(z, density.centre.dtype)), dtype=float)
     point = optimum.at(values)
     if not np.isfinite(point.cost):

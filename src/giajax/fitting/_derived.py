@@ -1,9 +1,10 @@
-"""Quantities that follow from the parameters, with standard errors of their own.
+"""Quantities derived from the parameters, with their standard errors.
 
-A quantity may be determined where its parameters are not: of two parameters that count only as a
-product, the product is. To first order it is when its gradient has no part in the directions
-that leave every residual unchanged; then any generalised inverse of J^T J gives its variance
-(C. R. Rao, "Linear Statistical Inference", 2nd ed., 1973, section 4a).
+A quantity may be determined although its parameters are not: if two parameters affect the data only
+through their product, the product is determined. To first order, a quantity is determined if its
+gradient has no component in the directions that leave every residual unchanged. Any generalised
+inverse of J^T J then gives its variance (C. R. Rao, "Linear Statistical Inference", 2nd ed., 1973,
+section 4a).
 """
 
 import dataclasses
@@ -32,45 +33,45 @@ from ._records import Estimate
 from ._statistics import Statistics
 from ._uncertainty import COLLINEAR
 
-# What a declaration calls the units of the columns that a model was fitted to.
+# Placeholders in declarations for the units of the columns to which a model was fitted.
 _WORDS = ("input", "output")
 
 
 class _Unit(NamedTuple):
-    """What a value in SI is multiplied by, and its unit then."""
+    """Factor that converts an SI value to a unit, and the name of the unit."""
 
     factor: float
     name: str
 
 
 def in_column_units(estimates: Mapping[str, Estimate], model: AbstractModel) -> dict[str, Estimate]:
-    """The estimates (SI) with values, errors and bounds in the units of the fitted columns.
+    """Convert estimates (SI) with errors and bounds to the units of the fitted columns.
 
-    Where a unit is made of "input" and "output", as those of a hysteresis operator are, and the
-    model knows its columns; every other estimate stays as it is, in SI.
+    The conversion applies to units that consist of "input" and "output", such as those of a
+    hysteresis operator, if the model knows its columns. All other estimates stay in SI units.
     """
     units = _recorded(_columns(model))
     return {path: _converted(estimate, units) for path, estimate in estimates.items()}
 
 
 def column_factors(model: AbstractModel) -> dict[str, float]:
-    """What `in_column_units` multiplies the values of each parameter by, by its path."""
+    """Return the factor by which `in_column_units` multiplies each parameter, by path."""
     units = _recorded(_columns(model))
     return {path: _unit(unit, units).factor for path, unit in _declared_units(model).items()}
 
 
 def units_in_si(model: AbstractModel) -> dict[str, str]:
-    """The SI unit of each parameter, by its path; of those that are left out, too.
+    """Return the SI unit of each parameter, by path, including parameters that the model omits.
 
-    Where a unit is made of "input" and "output", and the model knows its columns, it is made of
-    the SI units of these.
+    If the model knows its columns, a unit that consists of "input" and "output" is expressed in the
+    SI units of these columns.
     """
     units = {word: _Unit(1.0, channel.si_unit) for word, channel in _columns(model).items()}
     return {path: _unit(unit, units).name for path, unit in _declared_units(model).items()}
 
 
 def units_note(estimates: Mapping[str, Estimate], model: AbstractModel) -> str:
-    """A sentence on the units, where `in_column_units` changes numbers; else empty."""
+    """Return a sentence on the units if `in_column_units` changes numbers, otherwise ""."""
     columns = _columns(model)
     units = _recorded(columns)
     factors = {_unit(estimate.unit, units).factor for estimate in estimates.values()}
@@ -92,7 +93,7 @@ def _declared_units(model: AbstractModel) -> dict[str, str]:
 
 
 def _recorded(columns: Mapping[str, Channel]) -> dict[str, _Unit]:
-    """The units that columns are recorded in."""
+    """Return the units in which the columns are recorded."""
     return {
         word: _Unit(
             float(channel.from_si(1.0)), QUANTITIES[channel.quantity].suffixes[channel.unit]
@@ -115,7 +116,7 @@ def _converted(estimate: Estimate, units: Mapping[str, _Unit]) -> Estimate:
 
 
 def _unit(unit: str, units: Mapping[str, _Unit]) -> _Unit:
-    """A unit in terms of "input" and "output", made of the units that these have."""
+    """Return a unit with "input" and "output" replaced by the units of these columns."""
     above, _, below = unit.partition("/")
     words = {above, below} & set(_WORDS)
     if not words or not words <= set(units):
@@ -136,15 +137,15 @@ def _bracketed(unit: str) -> str:
 
 _Followers = dict[str, tuple[str, Tie]]
 
-_ROUNDING = 1e-5  # part of a gradient in undetermined directions that is rounding of the Jacobian
+_ROUNDING = 1e-5  # part of a gradient in undetermined directions that is rounding
 
 
 def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Estimate]:
-    """Estimates of what follows from the fitted parameters.
+    """Return the estimates of the quantities that depend on the fitted parameters.
 
-    The tied parameters by path, element by element where these differ, and by name the derived
-    quantities of the model that depend on a parameter which responds. Of what has a value for each
-    group of runs, the mean counts.
+    Tied parameters are given by path, or by element if their elements differ. Derived quantities of
+    the model are given by name, if they depend on a parameter to which a channel responds. If a
+    parameter has a value for each group of runs, the mean of these values is used.
     """
     count = problem.shared
     model = problem.with_values(problem.means(statistics.values[:count]))
@@ -183,9 +184,10 @@ def derived_estimates(problem: Problem, statistics: Statistics) -> dict[str, Est
 
 
 def derived_quantities(problem: Problem, values: np.ndarray) -> Callable[[Array], dict[str, Array]]:
-    """What follows from the first `problem.shared` values, by name as of `derived_estimates`.
+    """Return a function that computes the derived quantities from all shared values.
 
-    Tied elements that are equal at `values` are one. JAX differentiates the function.
+    The argument is the first `problem.shared` values, and the names are as in `derived_estimates`.
+    Tied elements that are equal at `values` are one quantity. JAX can differentiate the function.
     """
     model = problem.with_values(problem.means(values[: problem.shared]))
     return functools.partial(_quantities, problem, _followers(model, problem.ties))
@@ -197,7 +199,7 @@ def _quantities(problem: Problem, followers: _Followers, values: Array) -> dict[
     return {**tied, **{name: d.value for name, d in capabilities.derived(model).items()}}
 
 
-@eqx.filter_jit  # one program where each operation alone would be one
+@eqx.filter_jit  # one program instead of one for each operation
 def _with_slopes(
     problem: Problem, followers: _Followers, values: Array
 ) -> tuple[dict[str, Array], dict[str, Array]]:
@@ -208,10 +210,10 @@ def _with_slopes(
 def derived_quantity(
     problem: Problem, values: np.ndarray, name: str
 ) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-    """One of them as a function of all free parameters: its value and its gradient.
+    """Return one derived quantity as a function of all free parameters, with its gradient.
 
     Raises:
-        InputError: there is no such name.
+        InputError: no derived quantity has this name.
     """
     shared, of_values = problem.shared, derived_quantities(problem, values)
     if name not in jax.eval_shape(of_values, jnp.asarray(values[:shared])):
@@ -230,7 +232,7 @@ def derived_quantity(
 def with_tied(
     estimates: dict[str, Estimate], derived: Mapping[str, Estimate], ties: Sequence[Tie]
 ) -> dict[str, Estimate]:
-    """The estimates of parameters, in which the tied ones have the errors that follow for them."""
+    """Return the estimates of parameters, with the propagated errors of the tied ones."""
     tied = {tie.path: tie.expression.text for tie in ties if tie.path in estimates}
     remarked = {
         path: dataclasses.replace(estimates[path], remark=f"tied: {text}")
@@ -245,7 +247,7 @@ def with_tied(
 
 
 def _loose(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Norms of the columns of R, and the directions of the normalised ones that show nowhere."""
+    """Return the column norms of R, and the directions without effect in normalised columns."""
     norms = np.linalg.norm(root, axis=0)
     if not len(norms):
         return norms, np.zeros((0, 0))
@@ -254,9 +256,9 @@ def _loose(root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _followers(model: AbstractModel, ties: Sequence[Tie]) -> _Followers:
-    """By the name to show, the path of a tied parameter or element, and its tie.
+    """Return the path of a tied parameter or element and its tie, by the displayed name.
 
-    Elements that are tied to the same value are one.
+    Elements that are tied to the same value are displayed as one.
     """
     followers: _Followers = {}
     for tie in ties:
@@ -266,16 +268,16 @@ def _followers(model: AbstractModel, ties: Sequence[Tie]) -> _Followers:
     return followers
 
 
-# How the predictions of a fitted model respond to any of its parameters, free or held.
+# Responses of the predictions of a fitted model to any of its parameters, free or held.
 #
-# One compiled program gives the columns of all directions together, without the loss and the
-# noise of the fit: whoever asks weighs them. A direction changes a whole parameter by a unit, one
-# element of it, or all of its elements in proportion.
+# One compiled program computes the columns of all directions together. They do not include the loss
+# and the noise of the fit, so the caller weights them. A direction changes a whole parameter by one
+# unit, one of its elements, or all of its elements in proportion.
 
 
 @dataclasses.dataclass(frozen=True)
 class Direction:
-    """A change of a whole parameter (its path) for a unit: its step is of its SI unit and shape."""
+    """Change of a parameter (its path) by a `step`, SI units, in the shape of the parameter."""
 
     path: str
     step: np.ndarray
@@ -283,14 +285,16 @@ class Direction:
 
 @dataclasses.dataclass(frozen=True)
 class Response:
-    """What a model predicts for one run, and how that responds; all SI.
+    """Predictions of a model for one run, and their derivatives, in SI units.
 
     Attributes:
-        channels: names, in the order of the columns of the tables.
-        predicted: shape (sample, channel).
-        observed: NaN where not measured, shape (sample, channel).
-        columns: predictions by the amounts of the directions, shape (sample, channel, direction).
-        own: predictions by what is free in this run alone, shape (sample, channel, own).
+        channels: names in the order of the columns of the tables.
+        predicted: predictions, shape (sample, channel).
+        observed: recorded values, NaN where not measured, shape (sample, channel).
+        columns: derivatives of the predictions along the directions, shape (sample, channel,
+            direction).
+        own: derivatives of the predictions with respect to the free parameters of this run alone,
+            shape (sample, channel, own).
     """
 
     channels: tuple[str, ...]
@@ -309,24 +313,25 @@ def responses(
     values: Sequence[Mapping[str, float]] = (),
     ties: Sequence[Tie] = (),
 ) -> list[Response]:
-    """Predictions and their derivatives at one point, of each run in their order.
+    """Return the predictions and their derivatives at one point, for each run in order.
 
     Arguments:
-        model: at the point; it has all parameters of the directions.
-        runs: what was recorded.
-        directions: what to differentiate by. Without any there are predictions alone, and no
-            columns of what is free in one run either.
-        own: of each run, values of what is free in it alone, by label; others start as prepared.
-        values: of each run, those of the model's parameters that it does not share with all others,
-            by path, the same paths for all.
-        ties: what follows from other parameters, and moves with them.
+        model: model at the point, with all parameters of the directions.
+        runs: recorded runs.
+        directions: directions of the derivatives. Without directions only predictions are computed,
+            and also no derivatives with respect to the parameters of single runs.
+        own: for each run, values of the free parameters of this run alone, by label. Missing values
+            are as prepared.
+        values: for each run, values of the model parameters that not all runs share, by path, with
+            the same paths for all runs.
+        ties: parameters that are computed from other parameters and change with them.
 
     Raises:
         InputError: the model cannot be evaluated at the point.
     """
     answers: dict[int, Response] = {}
-    # In an order of their own: what is fitted and what is held changes from fit to fit, and the
-    # same directions in another order would be another program.
+    # The directions are sorted. Which parameters are fitted or held differs between fits, and the
+    # same directions in another order would require another program.
     order = sorted(range(len(directions)), key=lambda index: _name(directions[index]))
     place = np.argsort(np.asarray(order, dtype=int))
     paths = tuple(directions[index].path for index in order)
@@ -341,7 +346,7 @@ def responses(
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         amounts = _amounts(paths, sizes)
         tangents = _tangents(amounts, alone=len(members) == 1)
-        # Each run with each part of the tangents.
+        # Combine each run with each part of the tangents.
         parts = len(tangents)
         items = jax.tree.map(lambda leaf, n=parts: np.repeat(leaf, n, axis=0), (inputs, rows))
         items = (*items, np.tile(tangents, (len(members), 1, 1)))
@@ -353,7 +358,7 @@ def responses(
         blocks = blocks.reshape(len(members), -1, *blocks.shape[2:])[:, :amounts]
         if not np.all(successful):
             first = jax.tree.map(lambda leaf: leaf[0], inputs)
-            # Derivatives may take other steps than the motion, which is right by itself then.
+            # The simulation may succeed, because derivatives may use different steps.
             ready = capabilities.for_derivatives(model, (*paths, *(path for path, _ in sizes)))
             why = capabilities.failure(ready, first)
             why = why or "one of its derivatives is not finite"
@@ -376,17 +381,22 @@ def _name(direction: Direction) -> tuple[str, tuple[float, ...]]:
 
 
 def _amounts(paths: tuple[str, ...], own: tuple[tuple[str, int], ...]) -> int:
-    """What responses are differentiated by, in number."""
+    """Return the number of quantities with respect to which responses are differentiated."""
     return len(paths) + sum(size for _, size in own) if paths else 0
 
 
-# From so many amounts on, a single run has its derivatives in two parts, one for each of two cores.
-# That does not depend on the machine, so that programs and numbers are the same everywhere.
+# From this number of amounts on, the derivatives of a single run are computed in two parts, one on
+# each of two cores. The number does not depend on the machine, so programs and results are the same
+# everywhere.
 _DEALT_OUT = 16
 
 
 def _tangents(count: int, *, alone: bool) -> np.ndarray:
-    """The amounts in parts that are differentiated by together, shape (part, tangent, amount)."""
+    """Return the amounts in parts that are differentiated together.
+
+    Returns:
+        Tangents, shape (part, tangent, amount).
+    """
     parts = 2 if alone and count >= _DEALT_OUT else 1
     each = -(-count // parts)
     whole = np.eye(parts * each, count, dtype=jnp.result_type(float))
@@ -404,7 +414,7 @@ def _respond(
     varied: tuple[str, ...],
     ties: tuple[Tie, ...],
 ) -> tuple[Array, Array, Array]:
-    """Tables (run, sample, channel), their derivatives (run, tangent, sample, channel), success."""
+    """Return tables (run, sample, channel), derivatives (run, tangent, sample, channel), status."""
     inputs, *others = prepared_runs
     count = _amounts(paths, own)
     differentiated = (*dict.fromkeys(paths), *(path for path, _ in own))
@@ -440,5 +450,6 @@ def _respond(
     if jax.tree.leaves(inputs)[0].shape[0] == 1:
         result = one(*jax.tree.map(lambda leaf: leaf[0], (inputs, *others)))
         return jax.tree.map(lambda leaf: leaf[None], result)
-    # One run after the other: each keeps its own steps; the program is compiled once.
+    # The runs are evaluated one after the other, because each has its own steps. The program is
+    # compiled once.
     return jax.lax.map(lambda each: one(*each), (inputs, *others))

@@ -1,4 +1,4 @@
-"""Estimates of the parameters: value, standard error, and what a reader must know of them."""
+"""Estimates of the parameters: values, standard errors, remarks and findings."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,33 +22,33 @@ from ._steps import FitState
 from ._uncertainty import FAR_OFF, largest_correlations, times_white_noise
 from ._weights import prior_of
 
-# What the data of a fit cannot tell, as codes with a sentence and advice.
+# Findings on what the data of a fit cannot determine: a code, a sentence and advice.
 #
 # `docs/findings.md` has a section for each code.
 
-_CORRELATED = 0.95  # correlations beyond this leave little more than a combination of the two
-_MOST_PAIRS = 10  # many pairs are one cause: the worst ones show it
-_BENT = 0.3  # a third of a standard error's square, or of its symmetry
-_AGAINST = 3.0  # standard deviations of a prior that the data have moved a parameter by
-# Of its standard errors by which a prior that the data contradict may move a parameter.
+_CORRELATED = 0.95  # correlations beyond this determine little more than a combination of the two
+_MOST_PAIRS = 10  # many pairs usually have one cause, which the strongest pairs show
+_BENT = 0.3  # largest relative effect of second derivatives on the cost within a standard error
+_AGAINST = 3.0  # prior standard deviations by which the data may shift a parameter
+# Shift of a parameter, in standard errors, that a prior in conflict with the data may cause.
 _HELD_BACK = 0.5
-_MOSTLY = 0.5  # a prior that says more than this of a parameter
-_GONE = 1e-2  # of its default: an essential parameter that is surely less may be 0
+_MOSTLY = 0.5  # a prior with a larger share of the information mainly determines the value
+_GONE = 1e-2  # fraction of its default below which an essential parameter may be 0
 _ONE_SIDED = 1.645  # normal quantile of a one-sided interval of 95 %
 
-# Correlation times without which an estimate of the correlation, and all errors, are uncertain.
+# Shorter records, in correlation times, make the estimated correlation and all errors uncertain.
 _LONG_ENOUGH = 20.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """Something that the data of a fit cannot tell, or a reason to doubt an error.
+    """Quantity that the data cannot determine, or a reason to doubt a standard error.
 
     Attributes:
-        code: what it is, the name of its section in `docs/findings.md`.
-        paths: of the parameters that it is about; with the runs where these are not all.
-        sentence: what there is.
-        advice: what to do about it.
+        code: kind of the finding, the name of its section in `docs/findings.md`.
+        paths: paths of the parameters concerned, with the runs if not all runs are concerned.
+        sentence: description of the finding.
+        advice: recommended action.
     """
 
     code: str
@@ -58,7 +58,7 @@ class Finding:
 
     @property
     def page(self) -> str:
-        """Where the documentation has it."""
+        """Section of the documentation that explains the finding."""
         return f"docs/findings.md#{self.code}"
 
 
@@ -68,16 +68,21 @@ def findings(
     curvatures: Mapping[int, Curvature],
     correlation_times: Sequence[tuple[str, float]] = (),
 ) -> tuple[Finding, ...]:
-    """What the data cannot tell; curvatures where they are known, by position of a parameter.
+    """Return the findings of a fit.
 
-    And how many times the correlation time of its noise each record is long, by name.
+    Arguments:
+        state: state at the end of the fit.
+        statistics: statistics of the fit.
+        curvatures: known curvatures, by the position of the parameter.
+        correlation_times: name of each record, and its length divided by the correlation time of
+            its noise.
     """
     return (
         *_outliers(state),
         *_without_response(state, statistics),
         *_together(state, statistics),
         *_correlated(state, statistics),
-        # Where the fit is at no optimum, neither says how far the data let a parameter go.
+        # Without an optimum, neither finding describes the range that the data allow.
         *(_at_bounds(state, statistics) if _is_optimum(state) else ()),
         *_priors(state, statistics),
         *(_bent(statistics, curvatures) if _is_optimum(state) else ()),
@@ -89,14 +94,14 @@ def _is_optimum(state: FitState) -> bool:
     return state.ending is not None and state.ending[0] == "converged"
 
 
-_OUT = 12.0  # robust deviations beyond which a residual is none of the noise
-_OUT_OF_NOISE = 3.0  # and deviations of the noise
-_MOST_OUT = 0.1  # of the cells: more of them are what the model misses
+_OUT = 12.0  # robust standard deviations beyond which a residual is not noise
+_OUT_OF_NOISE = 3.0  # standard deviations of the noise that an outlier must also exceed
+_MOST_OUT = 0.1  # fraction of the cells; if more of them are off, the model is the cause
 _FEW_CELLS = 20
 
 
 def _outliers(state: FitState) -> Iterator[Finding]:
-    """Cells that a fit whose loss lets none stand has not described, by channel and row."""
+    """Yield findings for outlier cells of a fit with the linear loss, by channel and row."""
     if not state.setup.loss.is_linear or not state.evaluated:
         return
     runs = state.setup.runs
@@ -108,17 +113,17 @@ def _outliers(state: FitState) -> Iterator[Finding]:
             known, noise = rest[~np.isnan(rest)], state.noise.values[number][name].deviation
             if len(known) < _FEW_CELLS:
                 continue
-            # Of noise that the residuals gave, outliers have their part.
+            # Outliers contribute to a noise that was estimated from the residuals.
             limit = max(_OUT * robust_deviation(known), _OUT_OF_NOISE * noise)
             out = np.flatnonzero(rest > limit)
-            # What is missing in a part of the motion is off in rows that follow each other.
+            # An effect that the model omits makes consecutive rows deviate.
             scattered = np.count_nonzero(np.diff(out) == 1) <= len(out) / 2
             if 0 < len(out) <= _MOST_OUT * len(known) and scattered:
                 more = f" and {len(out) - 5} more" if len(out) > 5 else ""
                 if run.times is None or run.name == run.recording:
                     rows = ", ".join(run.naming.at(row).rpartition(" ")[2] for row in out[:5])
                     said.append(f"{name} in {run.naming.row} {rows}{more}")
-                else:  # a window, which does not know its first row
+                else:  # a window does not know the number of its first row
                     times = ", ".join(f"{time:.7g}" for time in run.times[out[:5]])
                     said.append(f"{name} at {times} s{more}")
         if said:
@@ -133,7 +138,7 @@ def _outliers(state: FitState) -> Iterator[Finding]:
 
 
 def odd_recordings(runs: Iterable[Run]) -> tuple[Finding, ...]:
-    """What is odd in recordings before they are fitted: a finding for each oddity of each run."""
+    """Return a finding for each oddity of each recording before a fit."""
     return tuple(
         Finding("odd_recording", (), f"{run.name}: {odd.sentence}", odd.remedy)
         for run in runs
@@ -157,7 +162,7 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
 
 
 def _unless_far_off(state: FitState, advice: str) -> str:
-    """Advice for a model that describes the data, or what to ask first."""
+    """Return the advice if the model describes the data, otherwise the advice to check the data."""
     if times_white_noise(state) < FAR_OFF:
         return advice
     return "first find out why the model does not describe the data: run giajax check on the data"
@@ -170,13 +175,13 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     usual = [held.get(index, False) for index in range(len(lower))]
     for members, known in combinations(statistics, (lower >= 0).tolist(), usual):
         names = tuple(statistics.labels[i] for i in members)
-        said = " and ".join(map(str, known)) or "nothing"
+        said = f", only {' and '.join(map(str, known))}" if known else ""
         yield Finding(
             "only_combinations",
             names,
-            f"the data do not determine {', '.join(names)} separately, only {said}",
-            f"give one of them a prior with its deviation, or fix it ({one_of(names)}); "
-            "the combinations do not depend on this choice",
+            f"the data do not determine {', '.join(names)} separately{said}",
+            f"give one of them ({one_of(names)}) a prior with a standard deviation, or fix it, "
+            "which does not change the combinations",
         )
 
 
@@ -193,8 +198,8 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         return
     advice = _unless_far_off(
         state,
-        "do not interpret one without the other; to separate them, give one of them a prior, or "
-        "record a run in which they act at different times",
+        "do not interpret one without the other, or separate them with a prior on one of them or "
+        "a run in which they act at different times",
     )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])
@@ -214,7 +219,7 @@ def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     for index, side in statistics.bounds.items():
         bound = (bijector.lower if side == "lower" else bijector.upper)[index]
         error = statistics.standard_errors[index]
-        # The cost rises from the bound as g t + t^2 / (2 s^2), in units of the noise.
+        # The cost, divided by the noise variance, rises from the bound as g t + t^2 / (2 s^2).
         push = abs(float(gradient[index])) / statistics.scale * error
         reach = error * (np.hypot(push, _ONE_SIDED) - push)
         most = (
@@ -224,9 +229,9 @@ def _at_bounds(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         yield Finding(
             "at_a_bound",
             (name,),
-            f"{name} is at its {side} bound {bound:g}; its value is {most} (one-sided, 95 %)",
-            "use the one-sided interval instead of the error, and check the bound and the rest of "
-            "the model",
+            f"{name} is at its {side} bound {bound:g}, and its value is {most} (one-sided, 95 %)",
+            "use the one-sided interval instead of the standard error, and check the bound and the "
+            "rest of the model",
         )
 
 
@@ -259,10 +264,11 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
 
 
 def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
-    """What is far from its usual value, as chance does not explain, and moves a parameter.
+    """Return the nuisance parameter that is significantly far from its usual value, if any.
 
-    Its estimate less the centre of the prior has the variance of the prior less that of the
-    estimate. Without the prior it would be farther out, and so would what is correlated with it.
+    It must also change a fitted parameter noticeably. The difference between its estimate and the
+    centre of its prior has the variance of the prior minus the variance of the estimate. Without
+    the prior, it would be further away, and so would the parameters that are correlated with it.
     """
     priors, found = state.problem.priors, []
     nuisances = state.setup.nuisances
@@ -286,23 +292,23 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             free = [parameter.path for parameter in state.setup.parameters]
             asked = [each for each in free if each not in nuisances]
             command = " ".join(f"--free {each}" for each in [*asked, name])
-            how = "" if "[" in name else f", or fit it without a prior, by {command}"
+            how = "" if "[" in name else f", or fit it without a prior with {command}"
             sentence = (
                 f"{name} is {value} +- {deviation}, which is {abs(row):.2g} standard deviations "
-                f"from its usual value, and changes {path} "
-                f"by {moved[most]:.2g} of its standard errors: check for other effects with the "
-                "same effect on the data, or state its known value in "
-                f"[uncertainty]{how}"
+                f"from its usual value, and changes {path} by {moved[most]:.2g} times its standard "
+                "error: check for other causes with the same effect on the data, or give its known "
+                f"value in [uncertainty]{how}"
             )
             found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
     return min(found, key=lambda reason: reason.p_value, default=None)
 
 
 def vanished(state: FitState, statistics: Statistics) -> Reason | None:
-    """An essential parameter that is 0 within its error, which no residual shows to be wrong.
+    """Return a reason for doubt if an essential parameter is 0 within its standard error.
 
-    Where a command varies: what never moves has no stiffness to be found. It is also far below its
-    usual size, so that one which the data do not know is not meant.
+    No residual shows this error. The test requires that a command varies, because a joint that
+    never moves does not reveal its stiffness. The parameter must also be far below its usual size,
+    which excludes parameters that the data do not determine.
     """
     runs = state.setup.runs
     commands = (
@@ -346,23 +352,23 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
                 "short_record",
                 (),
                 f"the record '{name}' lasts only {count:.2g} correlation times of its noise",
-                f"record at least {_LONG_ENOUGH:g} correlation times, or state the correlated "
+                f"record at least {_LONG_ENOUGH:g} correlation times, or give the correlated "
                 "noise in [noise] (such as position_correlated_m and position_correlation_s), "
                 "which cannot be estimated from a shorter record",
             )
 
 
-_NOISE_ALONE = 0.95  # a part of an error above this is not worth telling from it
-_NEARLY_THE_SAME = 0.98  # parameters that are more correlated than this are worth a remark
+_NOISE_ALONE = 0.95  # largest fraction of the error due to noise for which the rest is reported
+_NEARLY_THE_SAME = 0.98  # smallest correlation between parameters that is worth a remark
 
 
 _LEVEL = 0.95
 
-_NORMAL = 1e9  # degrees of freedom from which Student's t is a normal distribution
+_NORMAL = 1e9  # degrees of freedom from which Student's t equals the normal distribution
 
 
 def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> dict[str, Estimate]:
-    """Estimates by path of the parameters: the free ones, then those that the fitted model held."""
+    """Return the estimates by path: first the free parameters, then those that the fit held."""
     free = {
         parameter.path: _free(state, statistics, parameter, places)
         for parameter, places in zip(state.setup.parameters, state.problem.positions, strict=True)
@@ -373,7 +379,7 @@ def estimates(state: FitState, statistics: Statistics, model: AbstractModel) -> 
 def _free(
     state: FitState, statistics: Statistics, parameter: Parameter, places: tuple[int, ...]
 ) -> Estimate:
-    """The estimate of a parameter; of one with a value for each group of runs, their mean."""
+    """Return the estimate of a parameter, or the mean of the values of the groups of runs."""
     index, declaration = places[0], parameter.declaration
     common = {**unit_and_bounds(declaration), "free": True}
     if len(places) > 1:
@@ -385,14 +391,14 @@ def _free(
         return Estimate(
             value=float(np.mean(statistics.values[list(places)])),
             standard_error=error,
-            remark=f"mean of {len(places)} values, one for each {runs}; result.json lists them",
+            remark=f"mean of {len(places)} values, one for each {runs} (listed in result.json)",
             **common,
         )
     value = float(statistics.values[index])
     error = finite_or_none(statistics.standard_errors.get(index))
     interval = None
     if error is not None:
-        # Where a bound cuts it, it is one-sided.
+        # A bound limits the interval, which is then one-sided.
         reach = student_reach(statistics.degrees_of_freedom[index]) * error
         interval = max(value - reach, declaration.lower), min(value + reach, declaration.upper)
     return Estimate(
@@ -410,12 +416,12 @@ def _free(
 
 
 def student_reach(freedom: float, level: float = _LEVEL) -> float:
-    """Half of an interval by Student's t of some degrees of freedom, in standard errors."""
+    """Return the half-width of a Student's t interval, in standard errors."""
     return float(stdtrit(min(freedom, _NORMAL), (1 + level) / 2))
 
 
 def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, OwnEstimate]]:
-    """What was fitted of each run alone or of its group of runs, by path."""
+    """Return the estimates for single runs or for their groups of runs, by path."""
     problem = state.problem
     varied = [index for index, places in enumerate(problem.positions) if len(places) > 1]
     estimates: list[dict[str, OwnEstimate]] = [{} for _ in state.setup.runs]
@@ -432,18 +438,18 @@ def own_estimates(state: FitState, statistics: Statistics) -> list[dict[str, Own
 
 
 def _remark(state: FitState, statistics: Statistics, index: int, error: float | None) -> str:
-    """What a reader must know before using the value of a free parameter; may be empty."""
+    """Return the remark on the value of a free parameter, which may be empty."""
     if statistics.labels[index] in state.setup.nuisances:
         prior = prior_of(state.setup.priors, statistics.labels[index])
         assert prior is not None
         spread = f"x/ {prior.factor:.3g}" if prior.factor else f"+- {prior.deviation:.2g}"
         return f"nuisance parameter with the prior {prior.value:.4g} {spread}"
     if not np.asarray(state.active)[index]:
-        return "not determined: no channel responds to it; kept at its initial value"
+        return "not determined: no channel responds to it, so it is kept at its initial value"
     for group in statistics.together:
         if index in group:
             others = ", ".join(statistics.labels[i] for i in group if i != index)
-            return f"not determined alone: only a combination with {others} is determined"
+            return f"not determined individually: only a combination with {others} is determined"
     if error is None:
         return "not determined: no channel responds to it at its final value"
     if index in statistics.bounds and not _is_optimum(state):
@@ -451,7 +457,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     if index in statistics.bounds:
         return (
             f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and the "
-            "standard error gives the distance from it that the data allow"
+            "standard error gives the distance from the bound that the data allow"
         )
     share = statistics.prior_shares.get(index, 0.0)
     if share > _MOSTLY:
@@ -459,7 +465,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     if error > abs(statistics.values[index]):
         return "barely determined: the standard error exceeds the value"
     nuisances = [statistics.labels[i] in state.setup.nuisances for i in statistics.determined]
-    # What is known of a nuisance is in the error already.
+    # The prior knowledge of a nuisance parameter is already included in its error.
     asked = np.where(np.logical_or.outer(nuisances, nuisances), 0.0, statistics.correlation)
     partners = largest_correlations(asked, _NEARLY_THE_SAME)
     row = statistics.determined.index(index)
@@ -475,7 +481,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
 
 
 def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:
-    """The declared parameters that were not free, with their declarations."""
+    """Return the estimates of the declared parameters that were not free."""
     values = parameter_values(model)
     held: dict[str, Any] = {"standard_error": None, "free": False, "remark": "held"}
     return {
@@ -486,6 +492,6 @@ def _held(model: AbstractModel, free: tuple[str, ...]) -> dict[str, Estimate]:
 
 
 def unit_and_bounds(declaration: Declaration) -> dict[str, Any]:
-    """What a declaration says of an estimate; bounds are floats, whose text is in keys."""
+    """Return the unit and the bounds that a declaration gives an estimate, as floats or None."""
     lower, upper = finite_or_none(declaration.lower), finite_or_none(declaration.upper)
     return {"unit": declaration.unit, "lower": lower, "upper": upper}

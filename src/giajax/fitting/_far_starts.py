@@ -1,9 +1,10 @@
-"""Where a fit that starts far off begins: at the first rows, in coordinates that the data size.
+"""Fits with poor initial guesses: they begin with the first rows and with suitable coordinates.
 
-A motion that is predicted with a wrong rate is out of step after a while, and there the linear
-model of the cost leads anywhere. Its first rows lead the right way, and from where they lead the
-next ones do. And a parameter whose start is small beside what the data would notice has a
-coordinate that bends every valley as soon as it has grown: it is linear as far as they notice.
+If a motion is predicted with a wrong rate, it is out of phase after some time, and the linear model
+of the cost is then useless. The first rows give a useful direction, and the resulting parameters
+extend the range of rows that give one. A parameter whose initial value is small compared with the
+change that the data would notice has a coordinate that bends every valley once the parameter has
+grown. Its coordinate is therefore linear up to the change that the data notice.
 """
 
 import dataclasses
@@ -15,30 +16,34 @@ from ..recordings import Run
 from ._problem import with_recorded
 from ._steps import FitState, counting, in_coordinates, move, step
 
-# A record swings that is so often now above its mean and now below it, by this part of its standard
-# deviation, and each time for so many rows, which noise is not. Of others the linear model of the
-# cost holds from farther off.
+# A record oscillates if it alternates at least `_SWINGS` times between values above and below its
+# mean by this fraction of its standard deviation, and if each half-swing lasts at least `_EACH`
+# rows on average, which excludes noise. For other records, the linear model of the cost is valid at
+# a greater distance.
 _SWINGS, _BEYOND, _EACH = 6, 0.5, 8
 
-# Rows are followed as long as their squared residuals add up to no more than this part of those of
-# constants, closely by the second; a fit that follows all of them begins with all of them.
+# The model follows the rows up to which the sum of its squared residuals is at most this fraction
+# of the sum for constants. It follows them closely if the second fraction holds. A fit whose model
+# follows all rows begins with all of them.
 _FOLLOWS, _CLOSELY = 0.25, 0.01
 
-# A first part has so many rows for each free value. The next one is longer by the first factor
-# where the fit follows it already; by the second at an optimum, or where it follows these rows
-# closely. What is nearly the whole is the whole.
+# The first part has at least `_ROWS` rows for each free value. The next part is longer by at least
+# the factor `_FURTHER` if the model already follows that many rows. It is longer by at least the
+# factor `_TWICE` at an optimum, or if the model follows the rows closely. A fraction above `_WHOLE`
+# is replaced by all rows.
 _ROWS, _FURTHER, _TWICE, _WHOLE = 3, 1.5, 2.0, 0.7
 
-_LEFT = 0.5  # part of the cost that is still promised: before it is gained no row is added
+_LEFT = 0.5  # while a larger fraction of the cost can still be gained, no row is added
 
-_SMALL = 10.0  # by this factor a start is smaller than what the data notice
+_SMALL = 10.0  # ratio by which a small initial value is below the change that the data notice
 
 
 def sized_by_data(state: FitState) -> FitState:
-    """The start in coordinates that are linear as far as the data do not notice the parameter.
+    """Return the start in coordinates that are linear up to the change that the data notice.
 
-    That is by how much it alone would have to move to explain all residuals, and no more than its
-    size, of which the start or the default is the larger.
+    This change is the one by which a parameter alone would have to move to explain all residuals.
+    It is limited to the size of the parameter, which is the larger of its initial value and its
+    default.
     """
     bijector, first = state.problem.bijector, np.arange(state.problem.size)
     for places in state.problem.positions:
@@ -56,7 +61,10 @@ def sized_by_data(state: FitState) -> FitState:
 
 
 def at_first_rows(state: FitState) -> FitState:
-    """The start of one free motion that swings: as many rows as the model follows, if not most."""
+    """Return the start for a single free oscillation, with only the rows that the model follows.
+
+    All rows are used if the model follows most of them.
+    """
     runs, batches = state.setup.runs, state.problem.batches
     if len(runs) > 1 or runs[0].times is None or not _is_free(runs[0]):
         return state
@@ -75,15 +83,19 @@ def at_first_rows(state: FitState) -> FitState:
 
 
 def _is_free(run: Run) -> bool:
-    """Whether nothing drives a run: what is driven gets less out of step, and begins at rest."""
+    """Return whether a run has no varying input.
+
+    A driven motion gets less out of phase, and begins at rest.
+    """
     others = (values for name, values in run.values.items() if run.part_of(name) != "measured")
     return not any(np.ptp(values) > 0 for values in others)
 
 
 def with_next_rows(tried: FitState, stopped: bool) -> FitState:
-    """After a trial step by some rows: the same, with more where it follows these, or with all.
+    """Return the state after a trial step with some rows: the same, with more, or with all rows.
 
-    All count where no step is found, as if the fit had begun with them.
+    Rows are added if the model follows them. If no step is found, all rows are used, as if the fit
+    had begun with them.
     """
     reach, part = _followed(tried), tried.part
     closely = bool(tried.inner.accepted) and _is_close(tried)
@@ -98,12 +110,15 @@ def with_next_rows(tried: FitState, stopped: bool) -> FitState:
 
 
 def with_all_rows(state: FitState) -> FitState:
-    """The same point, evaluated with all rows."""
+    """Return the same point, evaluated with all rows."""
     return state if state.part == 1 else step(counting(state, 1.0))
 
 
 def _counting(state: FitState, part: float) -> FitState:
-    """The same point with some rows; with all rows the start, where that describes them better."""
+    """Return the same point with some rows.
+
+    If all rows are used, the point is replaced by the start if the start describes them better.
+    """
     there = step(counting(state, part if part <= _WHOLE else 1.0))
     known = state.history[0].cost if state.history else np.inf
     if state.history and not (there.evaluated and (there.part < 1 or there.cost <= known)):
@@ -113,7 +128,7 @@ def _counting(state: FitState, part: float) -> FitState:
 
 
 def _squares(state: FitState) -> list[tuple[np.ndarray, np.ndarray]]:
-    """By batch, squared weighted residuals of each row: of the model, and of constants."""
+    """Return the squared weighted residuals of each row, for the model and constants, by batch."""
     found = []
     runs = state.setup.runs
     recorded = [run.observations for run in runs]
@@ -128,7 +143,7 @@ def _squares(state: FitState) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def _is_close(state: FitState) -> bool:
-    """Whether what counts is described so well that further rows tell more than these."""
+    """Return whether the current rows are described so well that further rows tell more."""
     for model, constant in _squares(state):
         rows = math.ceil(state.part * len(model))
         if not np.sum(model[:rows]) <= _CLOSELY * np.sum(constant[:rows]):
@@ -137,7 +152,7 @@ def _is_close(state: FitState) -> bool:
 
 
 def _swings(values: np.ndarray) -> bool:
-    """Whether what was recorded of a channel goes to and fro."""
+    """Return whether a recorded channel oscillates."""
     known = values[np.isfinite(values)]
     off = known - np.mean(known) if len(known) else known
     sides = np.sign(off[np.abs(off) > _BEYOND * np.std(off)]) if len(off) else off
@@ -145,7 +160,7 @@ def _swings(values: np.ndarray) -> bool:
 
 
 def _followed(state: FitState) -> float:
-    """The part of the rows, from the first, that the model follows."""
+    """Return the fraction of the rows, counted from the first, that the model follows."""
     parts = []
     for model, constant in _squares(state):
         with np.errstate(invalid="ignore"):

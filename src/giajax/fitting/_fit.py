@@ -1,4 +1,4 @@
-"""Fit a model to runs: the public functions, and the result of the last state."""
+"""Fit a model to runs: the public functions, and the result from the last state."""
 
 import dataclasses
 import functools
@@ -30,11 +30,18 @@ from ._statistics import Statistics, statistics
 from ._steps import CHANGED, FitJournal, FitState, Reason, begin, journal_writer, restored
 from ._uncertainty import trends, verdict
 
-_NOTABLE = 1.15  # residuals of this many times the noise are worth a word
+_NOTABLE = 1.15  # smallest ratio of the residuals to the noise that the message mentions
 
 
 def conclude(state: FitState, *, check: bool, max_iterations: int, began: float) -> FitResult:
-    """Everything that is known at the end of a fit that `began` then, by `time.perf_counter`, s."""
+    """Return the result of a fit, including its checks.
+
+    Arguments:
+        state: state at the end of the fit.
+        check: whether to compute the checks.
+        max_iterations: maximum number of trial steps of the fit.
+        began: time at which the fit began, by `time.perf_counter`, s.
+    """
     if state.ending is None:
         raise ValueError("the fit has not ended: call `descend` first")
     status, message, reason = state.ending
@@ -47,7 +54,7 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
         done = checks(state, known)
     if done.interrupted:
         status = reason = "interrupted"
-        message += ", then interrupted before its result was checked"
+        message += ", then interrupted before the result was checked"
     predictions = predictions_by_run(problem, state.inner.aux, setup.runs)
     found = verdict(state, status, known.prior_degrees_of_freedom)
     for doubt in (beyond_usual(state, known), vanished(state, known)):
@@ -95,14 +102,14 @@ def conclude(state: FitState, *, check: bool, max_iterations: int, began: float)
 
 
 def _conditions(model: AbstractModel, moved: Sequence[str], setup: Setup) -> tuple[str, ...]:
-    """On what the values are conditional; not what those of the nuisances are."""
+    """Return the conditions on which the values depend, except for those of nuisance parameters."""
     own = tuple(f"{path.partition('[')[0]}:" for path in setup.nuisances)
     sentences = capabilities.conditions(model, moved, setup.runs)
     return tuple(each for each in sentences if not own or not each.startswith(own))
 
 
 def _lengths(state: FitState) -> list[tuple[str, float]]:
-    """How many correlation times of its slowest noise each run is long, of what is not stated."""
+    """Return the length of each run, in correlation times of its slowest estimated noise."""
     lengths = []
     for run, noise in zip(state.setup.runs, state.noise.values, strict=True):
         found = (each.time_s for name, each in noise.items() if not run.correlated_noise(name))
@@ -113,7 +120,7 @@ def _lengths(state: FitState) -> list[tuple[str, float]]:
 
 
 def _correlation(known: Statistics, problem: Problem) -> Correlation:
-    """Correlations of what all runs share."""
+    """Return the correlations of the parameters that all runs share."""
     shared = {places[0] for places in problem.positions if len(places) == 1}
     rows = [row for row, index in enumerate(known.determined) if index in shared]
     matrix = known.correlation[np.ix_(rows, rows)].tolist()
@@ -123,7 +130,7 @@ def _correlation(known: Statistics, problem: Problem) -> Correlation:
 
 
 def _note(state: FitState, known: Statistics) -> str:
-    """What to add to the message about the residuals."""
+    """Return the notes on noise and residuals that are appended to the message."""
     note = ""
     if state.noise.estimated and not state.noise.complete:
         note += "; the noise was estimated from the residuals where it was not stated"
@@ -133,7 +140,7 @@ def _note(state: FitState, known: Statistics) -> str:
             "samples, which affects the standard errors"
         )
     if not state.noise.is_white:
-        note += "; the standard errors include the correlation of the noise in time"
+        note += "; the standard errors account for the temporal correlation of the noise"
     ratio = np.sqrt(known.reduced_chi_square)
     if ratio > _NOTABLE:
         note += f"; the residuals are {ratio:.3g} times the noise"
@@ -153,7 +160,7 @@ def _run_fit(
         channel, known, measured = run.channels[name], noise[name], ~np.isnan(values)
         rest = predicted[name] - values
         difference = rest[measured]
-        # Geometric mean of the deviations of what the cells before do not foretell.
+        # The geometric mean of the standard deviations, given all earlier cells of the channel.
         fresh = gains(known, run.times, measured.astype(float))[2][measured]
         sizes = (
             np.sqrt(np.mean(difference**2)),
@@ -178,7 +185,7 @@ def _run_fit(
 
 
 def _noise(state: FitState, known: Statistics) -> NoiseFit:
-    """What was taken for noise."""
+    """Return the noise of the fit as a record."""
     widening = {
         path: finite_or_none(known.widening[places[0]])
         for path, places in zip(state.problem.paths, state.problem.positions, strict=True)
@@ -189,13 +196,13 @@ def _noise(state: FitState, known: Statistics) -> NoiseFit:
 
 
 def versions() -> dict[str, str]:
-    """Of Python, of giajax and of the libraries that compute, by name."""
+    """Return the versions of Python, giajax and the numerical libraries, by name."""
     return dict(_versions())
 
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    # Each is read from a file, which takes longer than all else at the end of a small fit.
+    # Reading the versions from files would dominate the end of a small fit, so they are cached.
     names = ("giajax", "jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
     return {"python": platform.python_version(), **{name: version(name) for name in names}}
 
@@ -212,56 +219,60 @@ def fit(
 ) -> FitResult:
     """Fit parameters of a model to recorded runs by weighted least squares.
 
-    Each recorded cell counts with the noise that the run states for its channel; where it states
-    none, the noise is estimated per channel from the residuals of all runs. Where noise is
-    correlated in time, that is estimated, too, and the residuals are made independent (generalised
-    least squares). Empty cells do not count.
+    Each recorded cell is weighted by the noise that the run specifies for its channel. If none is
+    specified, the noise is estimated per channel from the residuals of all runs. If the noise is
+    correlated in time, its correlation is estimated as well, and the residuals are decorrelated
+    (generalised least squares). Empty cells are ignored.
 
     Arguments:
-        model: the model with its constants; its values are where the fit starts.
-        runs: one run or several, fitted together.
-        settings: all of what follows, apart from `progress` and `check`; or give it as keywords.
-        free: paths of the parameters to fit (`links.mass[2]` for one element of an array); by
-            default those that the model declares free.
-        start: start values by path, in SI units: one, or one for each element.
-        fix: values by path that are set and not fitted, as `start`.
-        loss: "linear", or where a few cells are outliers "huber", "soft_l1", "student_t", or an
+        model: model with its constants. Its parameter values are the initial values of the fit.
+        runs: one run, or several runs that are fitted together.
+        settings: all of the following settings except `progress` and `check`, as an alternative to
+            keywords.
+        free: paths of the parameters to fit (`links.mass[2]` for one element of an array). The
+            default is the parameters that the model declares free.
+        start: initial values by path, in SI units: one value, or one for each element.
+        fix: values by path that are set and not fitted, in the same form as `start`.
+        loss: "linear", or for data with a few outliers "huber", "soft_l1", "student_t", or an
             `AbstractLoss` such as `giajax.fitting.StudentT(degrees_of_freedom=3.0)`.
-        noise_model: "correlated" finds out whether the noise of a channel is correlated (white
-            noise plus an AR(1) in continuous time), and how large and long it is where the runs
-            do not state it; "white" takes every cell for independent of the others.
-        noise_per_run: estimate the noise of a channel in each run by itself, not in all together.
-        solver: of the simulation, one of `giajax.simulation.SOLVERS` or of diffrax, such as
-            `diffrax.Kvaerno4()`; by default that of the model.
-        tolerance: relative and absolute tolerance of the simulation; by default the model's, or
-            where that leaves it open, 1e-5 (3e-6 of more than 5,000 rows) or as much finer as it
-            takes to move no estimate by a noticeable part of its standard error.
-        priors: what is known of free parameters before, by path; where one has no start, the
-            fit starts there.
-        bounds: lower and upper bounds of free parameters, by path, within those that they have.
-        ties: expressions over paths by the path of the parameter that follows from them, such as
+        noise_model: "correlated" tests whether the noise of a channel is correlated (white noise
+            plus an AR(1) process in continuous time), and estimates its standard deviation and
+            correlation time if the runs do not specify them. "white" treats the noise of all cells
+            as independent.
+        noise_per_run: estimate the noise of a channel separately in each run instead of from all
+            runs.
+        solver: solver of the simulation, one of `giajax.simulation.SOLVERS` or of diffrax, such as
+            `diffrax.Kvaerno4()`. The default is the solver of the model.
+        tolerance: relative and absolute tolerance of the simulation. The default is the tolerance
+            of the model. If the model does not specify one, it is 1e-5 (3e-6 for more than 5,000
+            rows), reduced until no estimate shifts by a noticeable fraction of its standard error.
+        priors: priors of free parameters, by path. A parameter without an initial value starts at
+            the value of its prior.
+        bounds: lower and upper bounds of free parameters, by path, within their declared bounds.
+        ties: expressions by the path of the parameter that they determine, such as
             `{"joints.yaw_stiffness": "1.5 * joints.pitch_stiffness"}`. Elements of an array that
-            its own expression names stay free: `{"links.mass": "links.mass[0]"}` is one mass for
-            all links.
-        per_run: paths of free parameters that have a value of their own in each recording.
+            its own expression names stay free: `{"links.mass": "links.mass[0]"}` gives all links
+            the same mass.
+        per_run: paths of free parameters that have a separate value in each recording.
         groups: names of the runs that share a value, group by group, by path.
-        optimiser: a least-squares solver of optimistix in place of giajax's own, such as
-            `optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)`: its steps are one program, during
-            which nothing is told or stopped, and its derivatives end at the bounds. Studies of the
-            result use giajax's own.
-        max_iterations: trial steps before the fit gives up.
-        budget: wall time that the fit may take, s or "10m"; it then ends with the best so far.
-        progress: called after each step with an `Iteration`.
+        optimiser: least-squares solver of optimistix that replaces giajax's own, such as
+            `optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)`. All its steps are one program,
+            which reports no progress and cannot be interrupted. Beyond a bound its derivatives are
+            zero. Studies of the result use giajax's own optimiser.
+        max_iterations: maximum number of trial steps.
+        budget: maximum wall-clock time of the fit, in s or as "10m". The fit then ends with the
+            best point so far.
+        progress: function that is called after each step with an `Iteration`.
         check: compute the gradient check and the effect of the solver tolerance at the end.
 
     Returns:
-        The result; `result.status` says whether it converged. Ctrl-C ends the fit and returns
-        the best point so far.
+        The result. `result.status` specifies whether the fit converged. Ctrl-C ends the fit and
+        returns the best point so far.
 
     Raises:
-        InputError: an unknown path, a start outside its bounds, a run without measured channels,
-            a solver or tolerance for a model that has none, or a start from which the model
-            cannot be evaluated.
+        InputError: an unknown path, an initial value outside its bounds, a run without measured
+            channels, a solver or tolerance for a model that has none, or initial values at which
+            the model cannot be evaluated.
 
     Example:
         >>> import giajax
@@ -275,7 +286,7 @@ def fit(
 
 
 def check_effect(settings: FitSettings, keywords: type, function: str) -> None:
-    """Refuse settings that a function of this name, which knows these keywords, would pass over."""
+    """Refuse settings that the named function, which accepts these keywords, would ignore."""
     for name in settings.contents():
         if name not in keywords.__annotations__:
             raise InputError(
@@ -293,18 +304,19 @@ def solve(
     budget: Budget | None = None,
     journal: FitJournal | None = None,
 ) -> FitResult:
-    """Fit what `set_up` resolved.
+    """Run the fit that `set_up` resolved.
 
     Arguments:
-        setup: what to fit to what.
-        max_iterations: trial steps before the fit gives up; by default what the settings say.
-        progress, check: as of `fit`.
-        budget: wall time that this and other fits may take together; by default that of the
-            settings, for this one alone.
-        journal: what the fit keeps while it runs, and continues from where it holds something.
+        setup: resolved configuration of the fit.
+        max_iterations: maximum number of trial steps. The default is the number in the settings.
+        progress, check: as in `fit`.
+        budget: maximum wall-clock time of this and other fits together. The default is the budget
+            of the settings, for this fit alone.
+        journal: record of the running fit. If it has content, the fit is resumed from it.
 
     Raises:
-        InputError: the model cannot be evaluated at the start, or the journal is of another fit.
+        InputError: the model cannot be evaluated at the initial values, or the journal belongs to
+            another fit.
     """
     _warn_once_in_32_bit()
     began = time.perf_counter()
@@ -323,14 +335,14 @@ def solve(
         began -= before
         keep = journal_writer(state, journal, lambda: time.perf_counter() - began)
     state = descend(state, max_iterations, progress, budget=budget, keep=keep)
-    # Checking takes a few evaluations, for which there is no time left.
+    # The checks require a few evaluations, for which no time is left.
     check = check and (budget is None or budget.left() > 0)
     try:
         result = conclude(state, check=check, max_iterations=max_iterations, began=began)
     except KeyboardInterrupt:
-        # What was computed is worth keeping; all but the checks takes little.
+        # The computed values are kept. Everything except the checks takes little time.
         if state.ending is not None and state.ending[0] != "interrupted":
-            message = f"{state.ending[1]}, then interrupted before its result was checked"
+            message = f"{state.ending[1]}, then interrupted before the result was checked"
             state = state.ended("interrupted", message, "interrupted")
         result = conclude(state, check=False, max_iterations=max_iterations, began=began)
     if budget is None:
@@ -355,10 +367,13 @@ def _warn_once_in_32_bit() -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Refit:
-    """How a fit ended that began from another one, and whether at an optimum of what was free.
+    """End of a fit that began at the end of another fit.
 
-    Its reason is as of `FitResult`; "iterations" where they were used up, "wall" where the model
-    cannot be evaluated at the start.
+    Attributes:
+        state: last state of the fit.
+        converged: whether the fit reached an optimum of the free parameters.
+        reason: reason for the end, as in `FitResult`: "iterations" if the maximum number was
+            reached, "wall" if the model cannot be evaluated at the initial values.
     """
 
     state: FitState
@@ -367,27 +382,30 @@ class Refit:
 
     @property
     def values(self) -> np.ndarray:
-        """Of all free parameters, in the order of `Optimum.labels`, SI; what was held as held."""
+        """Values of all free parameters, SI units, in the order of `Optimum.labels`.
+
+        Held parameters keep their values.
+        """
         return self.state.values()
 
     @property
     def cost(self) -> float:
-        """Half the sum of the loss, in units of the noise."""
+        """Half the sum of the losses of the residuals, which are divided by the noise."""
         return self.state.cost
 
     @property
     def iterations(self) -> int:
-        """Trial steps."""
+        """Number of trial steps."""
         return self.state.trials
 
     @functools.cached_property
     def statistics(self) -> Statistics:
-        """Standard errors and correlations at the end."""
+        """Standard errors and correlations at the end of the fit."""
         return statistics(self.state)
 
 
 def refitted(state: FitState, most: int) -> Refit:
-    """Steps until none is left, with the noise and the tolerance as they are."""
+    """Step until the fit ends, with the noise and the tolerance unchanged."""
     state = descend(state, most, None, advance=advance_alone)
     assert state.ending is not None
     status, _, reason = state.ending

@@ -1,17 +1,18 @@
-"""A part of the runs that is held out of a fit, and how well the fit predicts it.
+"""Held-out parts of runs, and a test of how well the fit predicts them.
 
-Which cells are held out is said in `giajax.recordings.hold_out`: whole runs, whole channels, or the
-last part of each recording by time. How they are judged is said here, by the predictive-failure
-test of Chow (Econometrica 28, 1960, p. 591), for any noise and priors. To first order in the
-parameters, with e the residuals of some cells, J their derivatives and V their covariance, the
-least chi-square that a fit of these cells can reach is
+`giajax.recordings.hold_out` defines which cells are held out: whole runs, whole channels, or the
+last part of each recording by time. This module tests their prediction by the predictive-failure
+test of Chow (Econometrica 28, 1960, p. 591), for any noise and priors. Let e be the residuals of
+some cells, J their derivatives and V their covariance. To first order in the parameters, the lowest
+chi-square that a fit of these cells can reach is
 
     C = min_d (e + J d)^T V^-1 (e + J d).
 
-What the fitted and the held cells together have more of it than the fitted ones alone has the
-degrees of freedom of the held cells, less those parameters that only these know, such as the
-initial state of a run that was held out. That is the error of prediction against noise and the
-uncertainty of the parameters in one, and it does not depend on the weights that the fit had.
+The excess of this chi-square for the fitted and held-out cells together, over the fitted cells
+alone, has as many degrees of freedom as there are held-out cells, minus the parameters that only
+these cells determine, such as the initial state of a held-out run. It compares the prediction
+errors with both the noise and the uncertainty of the parameters, and does not depend on the weights
+of the fit.
 """
 
 import dataclasses
@@ -51,21 +52,26 @@ from ._weights import Noise
 Groups = dict[str, list[list[str]]]
 
 Sizes = dict[tuple[int, str], float | None]
-"""By the position of a run and the name of a channel."""
+"""Sizes of prediction errors, by the position of a run and the name of a channel."""
 
 
 @dataclasses.dataclass(frozen=True)
 class HoldOut:
-    """What is held out of each run of a fit, and its setup, were nothing held out."""
+    """Held-out parts of the runs of a fit.
+
+    Attributes:
+        parts: fitted and held-out parts of each run.
+        whole: setup of a fit in which nothing is held out.
+    """
 
     parts: tuple[SplitRun, ...]
     whole: Setup
 
     def judge(self, result: FitResult) -> FitResult:
-        """The result of a fit of the fitted parts with how well it predicts what was held out.
+        """Return the result of a fit with the prediction errors of the held-out data.
 
-        Where the held cells are further off than noise and the uncertainty of the parameters allow,
-        its verdict has one more reason.
+        If these errors exceed what the noise and the uncertainty of the parameters allow, the
+        verdict has an additional reason.
         """
         state = state_at_end(result, self.whole, self.parts)
         if state.evaluated:
@@ -73,14 +79,17 @@ class HoldOut:
             sizes, reason = _judged(state, self.parts)
         else:
             predicted, sizes = [{} for _ in self.parts], {}
-            said = "the held-out data cannot be predicted, because the model fails where the fit "
-            reason = Reason("prediction", f"{said}ended", 0.0, math.inf)
+            said = (
+                "the held-out data cannot be predicted, because the model cannot be evaluated at "
+                "the point where the fit ended"
+            )
+            reason = Reason("prediction", said, 0.0, math.inf)
         verdict = result.verdict
-        # A fit that did not reach its optimum says nothing of the model.
+        # A fit that did not reach its optimum does not test the model.
         if reason is not None and "end" not in [other.code for other in verdict.reasons]:
             verdict = verdict.with_reason(reason)
         records, of_held, of_fitted = [], [], []
-        # A result that was loaded has none.
+        # A loaded result has no predictions.
         fitted = iter(result.predictions or ({},) * len(self.parts))
         for number, (part, channels) in enumerate(zip(self.parts, predicted, strict=True)):
             known = {}
@@ -103,7 +112,7 @@ class HoldOut:
         )
 
     def unjudged(self, result: FitResult) -> FitResult:
-        """The result with what was held out, where nothing is known of how it is predicted."""
+        """Return the result with the held-out data, but without their prediction errors."""
         records = []
         for part in self.parts:
             if part.held is not None:
@@ -115,10 +124,12 @@ class HoldOut:
 def set_up_with_hold_out(
     settings: FitSettings, runs: Sequence[Run], begin: WarmStart | None
 ) -> tuple[Setup, HoldOut]:
-    """The setup of a fit that holds something out, whose `config` says what; and that.
+    """Return the setup of a fit with held-out data, and these data.
+
+    The `config` of the setup specifies what is held out.
 
     Raises:
-        InputError: as `giajax.fit`, or a `hold_out` that names nothing, or everything.
+        InputError: as in `giajax.fit`, or `hold_out` selects nothing or everything.
     """
     parts = hold_out(runs, settings.hold_out)
     fitted = [part.fitted for part in parts if part.fitted is not None]
@@ -126,7 +137,7 @@ def set_up_with_hold_out(
         if fitted and not any(run.model == model for run in fitted):
             raise InputError(
                 f"every run of the {model} model is held out, so no fitted model can predict "
-                "them: hold out only some of them"
+                "them: hold out only some of these runs"
             )
     if len(fitted) < len(parts):
         model_for(runs)  # refuses runs whose sidecars contradict each other
@@ -148,7 +159,7 @@ def set_up_with_hold_out(
 
 
 def _among(groups: Groups, runs: Sequence[Run], everything: Sequence[Run]) -> Groups:
-    """The groups without the runs that are not among these."""
+    """Return the groups, restricted to the runs that are fitted."""
 
     def names_of(several: Sequence[Run]) -> set[str]:
         return {name for run in several for name in (run.name, run.recording)}
@@ -166,7 +177,7 @@ def _record(
     errors: Mapping[str, float | None],
     sizes: Mapping[str, float | None],
 ) -> HeldOut:
-    """What was held out of a run."""
+    """Return the record of the held-out data of a run."""
     channels = {
         name: HeldChannel(
             whole.channels[name].unit, errors[name], int(np.sum(~np.isnan(values))), sizes[name]
@@ -177,15 +188,16 @@ def _record(
     return HeldOut(whole.name, path, whole.sha256, channels)
 
 
-# Steps of what only the held cells know, such as where a held run starts: the test that follows is
-# exact to first order, and a state that was guessed may be further off than that.
+# Maximum number of steps for parameters that only the held-out cells determine, such as the initial
+# state of a held-out run. The test is exact to first order, and a guessed state may be too far away
+# for that.
 _STEPS = 10
 
 
 def state_at_end(result: FitResult, setup: Setup, parts: Sequence[SplitRun]) -> FitState:
-    """The state of a fit of the whole runs where that of the fitted parts ended, evaluated.
+    """Return the evaluated state of a fit of the whole runs at the end of a fit of their parts.
 
-    What no fitted cell responds to is where the held cells want it.
+    Parameters to which no fitted cell responds are fitted to the held-out cells.
     """
     values = {
         p.path: between(result.parameters[p.path].value, p.declaration.lower, p.declaration.upper)
@@ -220,7 +232,7 @@ def state_at_end(result: FitResult, setup: Setup, parts: Sequence[SplitRun]) -> 
 
 
 def _at_own_values(state: FitState, result: FitResult, parts: Sequence[SplitRun]) -> FitState:
-    """The state where each fitted run has its own values, also where others have its name."""
+    """Return the state with each fitted run at its own values, even if runs have the same name."""
     start = state.start.copy()
     records = iter(result.runs)
     known = [next(records).parameters if part.fitted is not None else {} for part in parts]
@@ -233,7 +245,10 @@ def _at_own_values(state: FitState, result: FitResult, parts: Sequence[SplitRun]
 
 
 def _noise(result: FitResult, noise: Noise, parts: Sequence[SplitRun]) -> Noise:
-    """The noise that the fit ended with; of what it did not have, what is stated or guessed."""
+    """Return the noise at the end of the fit.
+
+    For channels that the fit did not include, it is specified or guessed.
+    """
     by_key = noise.by_key()
     records = iter(result.runs)
     for part, keys in zip(parts, noise.keys, strict=True):
@@ -243,7 +258,7 @@ def _noise(result: FitResult, noise: Noise, parts: Sequence[SplitRun]) -> Noise:
 
 
 def _known_to_held(state: FitState, parts: Sequence[SplitRun]) -> np.ndarray:
-    """The coordinates that no fitted cell responds to, shape (parameter,)."""
+    """Return which coordinates have no effect on any fitted cell, shape (parameter,)."""
     alone = np.ones(state.problem.size, bool)
     for batch in state.problem.batches:
         for member, columns in zip(batch.members, batch.columns(), strict=True):
@@ -258,7 +273,7 @@ def _known_to_held(state: FitState, parts: Sequence[SplitRun]) -> np.ndarray:
 
 
 def held_cells(part: SplitRun, name: str) -> np.ndarray:
-    """Which of the measured cells of a channel are held out, shape (cell,)."""
+    """Return which measured cells of a channel are held out, shape (cell,)."""
     measured = ~np.isnan(part.whole.observations[name])
     if part.held is None or name not in part.held.observations:
         return np.zeros(int(np.sum(measured)), bool)
@@ -266,14 +281,14 @@ def held_cells(part: SplitRun, name: str) -> np.ndarray:
 
 
 def _judged(state: FitState, parts: Sequence[SplitRun]) -> tuple[Sizes, Reason | None]:
-    """How far off the held cells of each channel of each run are, and what speaks against it."""
+    """Return the relative prediction error of each channel of each run, and the reason, if any."""
     channels, sizes = [], Sizes()
     for (number, name), cells in residual_cells(state).items():
         whole = parts[number].whole
         largest = float(np.nanmax(np.abs(whole.observations[name])))
         stated = state.noise.stated[number][name].noise
         if stated is None and np.max(np.abs(cells.residual)) <= TOLERANCE * largest:
-            # What a solver's tolerance leaves is no noise to compare with.
+            # Residuals within the solver tolerance are not noise to compare with.
             sizes[number, name] = 0.0
             continue
         series = series_of(state, number, name, cells.residual, cells.times, lost=0.0)
@@ -286,17 +301,18 @@ def _judged(state: FitState, parts: Sequence[SplitRun]) -> tuple[Sizes, Reason |
     return sizes, test.reason()
 
 
-# The test: what the held cells add to the least chi-square that a fit can reach.
+# The test: increase of the lowest chi-square that a fit can reach due to the held-out cells.
 
 
 @dataclasses.dataclass(frozen=True)
 class PredictedChannel:
-    """One channel of one run, of which cells may have been held out.
+    """Channel of a run whose cells may have been held out.
 
     Attributes:
-        series: residuals of all of its cells, at the fitted values.
-        cells: the same with their derivatives, those by what runs share in the same columns.
-        held: which of them were held out of the fit.
+        series: residuals of all its cells at the fitted values.
+        cells: the same cells with their derivatives. Derivatives with respect to shared parameters
+            are in the same columns for all runs.
+        held: which cells were held out of the fit.
     """
 
     series: Series
@@ -305,23 +321,24 @@ class PredictedChannel:
 
     @property
     def noise(self) -> ChannelNoise:
-        """What the cells may be off by, whatever the model.
+        """Noise of the cells, independent of the model.
 
-        As stated, with the memory that is stated. Else white, from second differences: a memory
-        that was estimated from the residuals of the fit would take physics that the model lacks
-        for noise, and expect it in the held cells, too.
+        It is the specified noise, including its specified correlation. Otherwise it is white noise,
+        estimated from second differences. A correlation that was estimated from the residuals of
+        the fit would include effects that the model omits, and would expect them in the held-out
+        cells, too.
         """
         return self.series.stated or ChannelNoise(self.series.from_differences)
 
     @property
     def noise_degrees_of_freedom(self) -> float:
-        """Degrees of freedom that this noise is known with; infinite where it is stated."""
+        """Degrees of freedom of the estimate of this noise, infinite if it is specified."""
         return np.inf if self.series.stated is not None else DIFFERENCES * len(self.series)
 
     def without_outliers(self) -> "PredictedChannel":
-        """The cells that no loss which lets outliers stand would leave alone.
+        """Return the channel without the cells that a robust loss would treat as outliers.
 
-        Held cells among which many are off are not outliers, but a prediction that fails.
+        If many held-out cells deviate, they are a failed prediction, not outliers.
         """
         size = np.abs(self.series.residual)
         usual = np.full(len(size), self.series.adopted)
@@ -334,12 +351,12 @@ class PredictedChannel:
 
 @dataclasses.dataclass(frozen=True)
 class Prediction:
-    """How well the held cells of some channels are predicted.
+    """Test of the prediction of the held-out cells of some channels.
 
     Attributes:
-        statistic: chi-square that these cells have beyond what the fitted ones have, with the
-            parameters where both together want them.
-        noise_degrees_of_freedom: those of the noise that it is in units of.
+        statistic: increase of the chi-square due to these cells, each at the best parameters.
+        degrees_of_freedom: number of degrees of freedom of the statistic.
+        noise_degrees_of_freedom: degrees of freedom of the estimated noise.
     """
 
     statistic: float
@@ -348,14 +365,14 @@ class Prediction:
 
     @property
     def size(self) -> float | None:
-        """How many times as far off the cells are as they may; None without any freedom."""
+        """Ratio of the errors to their expected size, or None without degrees of freedom."""
         if self.degrees_of_freedom <= 0:
             return None
         return float(np.sqrt(self.statistic / self.degrees_of_freedom))
 
     @property
     def p_value(self) -> float:
-        """Chance of more where the model is right."""
+        """Probability of a larger statistic if the model is right."""
         if self.degrees_of_freedom <= 0:
             return 1.0
         count, of_noise = self.degrees_of_freedom, self.noise_degrees_of_freedom
@@ -363,12 +380,13 @@ class Prediction:
 
 
 class PredictionTest:
-    """The cells of a fit and those that were held out of it.
+    """Predictive-failure test of the cells that were held out of a fit.
 
     Arguments:
-        channels: of all runs.
-        priors: X^T X of the rows of the priors; X are the shared columns and, last, the residual.
-        robust: whether the loss of the fit lets outliers stand; they are then left out.
+        channels: channels of all runs.
+        priors: X^T X of the rows of the priors. The columns of X are the shared parameters and,
+            last, the residual.
+        robust: whether the loss of the fit is robust. Outliers are then omitted.
     """
 
     def __init__(
@@ -389,12 +407,12 @@ class PredictionTest:
         self._alone = self._least(frozenset())
 
     def of(self, run: int, channel: str) -> Prediction:
-        """That of the held cells of a channel of one run."""
+        """Return the test of the held-out cells of a channel of one run."""
         members = self._members[run]
         return self._of([i for i in members if self._channels[i].series.channel == channel])
 
     def reason(self) -> Reason | None:
-        """What speaks against the model: all held cells, or those of one channel in all runs."""
+        """Return the reason against the model: all held-out cells, or one channel of all runs."""
         held = {i: each for i, each in enumerate(self._channels) if np.any(each.held)}
         groups = alone_and_together([each.series for each in held.values()])
 
@@ -427,10 +445,10 @@ class PredictionTest:
         )
 
     def _least(self, positions: frozenset[int]) -> tuple[float, int]:
-        """C of the fitted cells with the held ones of some channels, and how much they determine.
+        """Return C of the fitted cells and the held-out cells of some channels, and its rank.
 
-        What one run alone responds to is taken out of that run first (Frisch, Waugh and Lovell),
-        so that no matrix with the parameters of all runs is ever made.
+        Parameters of a single run are eliminated in that run first (Frisch, Waugh and Lovell), so
+        that no matrix contains the parameters of all runs.
         """
         total, rank = self._priors, 0
         for run in self._members:
@@ -450,7 +468,7 @@ class PredictionTest:
 
 
 def _gram(each: PredictedChannel, kept: Bool[np.ndarray, " cell"]) -> np.ndarray:
-    """X^T V^-1 X of own and shared columns and the residual, of some cells."""
+    """Return X^T V^-1 X of some cells, with own columns, shared columns and the residual."""
     if not np.any(kept):
         width = each.cells.own.shape[1] + each.cells.shared.shape[1] + 1
         return np.zeros((width, width))
@@ -458,7 +476,7 @@ def _gram(each: PredictedChannel, kept: Bool[np.ndarray, " cell"]) -> np.ndarray
 
 
 def _without(gram: np.ndarray, width: int) -> tuple[np.ndarray, int]:
-    """A Gram matrix without the span of its first columns, and how many dimensions that has."""
+    """Return a Gram matrix without the span of its first columns, and the rank of that span."""
     basis = orthonormal(gram[:width, :width])
     across = basis.T @ gram[:width, width:]
     return gram[width:, width:] - across.T @ across, basis.shape[1]

@@ -1,4 +1,4 @@
-"""The least-squares problem to first order: a block of the Jacobian a run, and their triangle."""
+"""Linearised least-squares problem: one block of the Jacobian per run, and its QR factor."""
 
 import dataclasses
 import math
@@ -36,11 +36,11 @@ Row = Float[np.ndarray, " residual"]
 
 @dataclasses.dataclass(frozen=True)
 class BlockJacobian:
-    """Residuals by parameters, run by run.
+    """Jacobian of the residuals with respect to the parameters, by run.
 
     Attributes:
-        blocks: of each run, shape (row, column).
-        columns: which parameters the columns of each block belong to.
+        blocks: block of each run, shape (row, column).
+        columns: parameter to which each column of each block belongs.
         size: number of parameters.
     """
 
@@ -50,7 +50,7 @@ class BlockJacobian:
 
     @classmethod
     def of(cls, problem: Problem, blocks: Sequence[object]) -> Self:
-        """The Jacobian from the blocks of each batch of runs, and the slopes of the priors."""
+        """Return the Jacobian from the blocks of each batch and the slopes of the priors."""
         *stacks, slopes = blocks
         rows, columns = [], []
         for batch, stacked in zip(problem.batches, stacks, strict=True):
@@ -64,29 +64,29 @@ class BlockJacobian:
 
     @classmethod
     def dense(cls, matrix: Float[np.ndarray, "residual parameter"]) -> Self:
-        """One block that is the whole matrix."""
+        """Return the Jacobian with one block that is the whole matrix."""
         return cls([matrix], [np.arange(matrix.shape[1])], matrix.shape[1])
 
     def scaled(self, factors: Float[np.ndarray, " parameter"]) -> Self:
-        """With each column times a number."""
+        """Return the Jacobian with each column multiplied by a factor."""
         blocks = [b * factors[c] for b, c in zip(self.blocks, self.columns, strict=True)]
         return dataclasses.replace(self, blocks=blocks)
 
     def norms(self) -> Float[np.ndarray, " parameter"]:
-        """Norms of the columns."""
+        """Return the norms of the columns."""
         squares = np.zeros(self.size)
         for block, columns in zip(self.blocks, self.columns, strict=True):
             squares[columns] += np.sum(block**2, axis=0)
         return np.sqrt(squares)
 
     def times(self, vector: Float[np.ndarray, " parameter"]) -> Row:
-        """Matrix times a vector."""
+        """Return the product with a vector."""
         return np.concatenate(
             [block @ vector[c] for block, c in zip(self.blocks, self.columns, strict=True)]
         )
 
     def transposed_times(self, row: Row) -> Float[np.ndarray, " parameter"]:
-        """Transposed matrix times a vector."""
+        """Return the product of the transpose with a vector."""
         total = np.zeros(self.size)
         start = 0
         for block, columns in zip(self.blocks, self.columns, strict=True):
@@ -95,7 +95,7 @@ class BlockJacobian:
         return total
 
     def reduced(self, weights: Row | None = None) -> Float[np.ndarray, "row parameter"]:
-        """A small matrix R with R^T R = J^T diag(weights)^2 J, by QR of each block."""
+        """Return a small matrix R with R^T R = J^T diag(weights)^2 J, by QR of each block."""
         parts, start = [], 0
         for block, columns in zip(self.blocks, self.columns, strict=True):
             if weights is not None:
@@ -109,21 +109,21 @@ class BlockJacobian:
 
 
 def linearise(coordinate: Float[Array, " parameter"], problem: Problem) -> Linearised:
-    """Residual, Jacobian in blocks, its triangular factor R, Q^T r, and the predictions."""
+    """Return residual, block Jacobian, triangular factor R, Q^T r and predictions."""
     return assembled(over_runs(linearise_run, coordinate, problem), coordinate, problem)
 
 
 def linearise_run(
     values: Array, problem: Problem, batch: RunBatch, run: tuple[Any, ...]
 ) -> tuple[Array, ...]:
-    """A run's residual, block of the Jacobian, triangle of both, prediction, and success.
+    """Return residual, Jacobian block, triangular factor, prediction and success of a run.
 
-    The block, shape (row, shared + own), comes from one vmapped jvp by the run's own coordinates;
-    no derivative by the parameters of another one is ever computed. It is reduced to a triangle by
-    itself.
+    The block, shape (row, shared + own), is computed by one vmapped jvp with respect to the
+    coordinates of the run. Derivatives with respect to the parameters of other runs are never
+    computed. The block is reduced to a triangle by itself.
     """
     row, block, aux = with_jacobian(lambda v: run_residual(v, problem, batch, run), values)
-    # Linear, so it comes after the derivatives, and costs one pass over all columns.
+    # Whitening is linear. After the derivatives it costs one pass over all columns.
     whole = whitened(jnp.concatenate([block, row[:, None]], axis=1), run[-1])
     block, row = whole[:, :-1], whole[:, -1]
     if not problem.loss.is_linear:
@@ -132,17 +132,18 @@ def linearise_run(
         measured = (weight > 0).ravel().astype(row.dtype)
         ratio = problem.loss.curvature_ratio(difference, measured)[:, None]
         whole = jnp.concatenate([whole[:, :-1] * ratio, whole[:, -1:] / ratio], axis=1)
-    # A failed run has NaN here; its step is rejected, and nobody reads the triangle.
+    # The block of a failed run contains NaN. Its step is rejected, and the triangle is not used.
     triangle = jnp.linalg.qr(jnp.where(jnp.isfinite(whole), whole, 0), mode="r")
     missing = whole.shape[1] - triangle.shape[0]
     return row, block, jnp.pad(triangle, ((0, missing), (0, 0))), *aux
 
 
 def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem) -> Linearised:
-    """What `linearise_run` found of the runs of each batch, and the priors, as one problem.
+    """Assemble the results of `linearise_run` of all batches and the priors as one problem.
 
-    The triangles together are reduced to R: an orthogonal reduction, as QR of the whole. Beside it
-    blocks of each batch, (run, row, shared + own), and derivatives of the priors' rows, (prior,).
+    QR reduces all triangles together to R, with the same result as QR of the whole matrix. The
+    Jacobian consists of the blocks of each batch, (run, row, shared + own), and the derivatives of
+    the rows of the priors, (prior,).
     """
     rows, blocks, triangles, tables, successes = zip(*parts, strict=True)
     known, slopes = problem.priors.rows(coordinate, problem.bijector)
@@ -159,7 +160,7 @@ def assembled(parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Prob
 
 
 def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem: Problem) -> Array:
-    """Triangles of a batch's runs, with their columns where they belong in the whole."""
+    """Return the triangles of the runs of a batch, with their columns placed in the whole."""
     runs, count, _ = triangles.shape
     whole = jnp.zeros((runs, count, problem.size + 1), triangles.dtype)
     whole = whole.at[:, :, -1].set(triangles[:, :, -1])
@@ -169,12 +170,11 @@ def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem:
     return whole.reshape(runs * count, -1)
 
 
-# The compiled programs of a fit.
-#
-# At module level: a fresh closure would be compiled again for every fit.
+# Compiled programs of a fit. They are at module level, because a new closure would be compiled
+# again for every fit.
 
 Stepped = tuple[Array, MarquardtState, Any, Any]
-"""Where the solver is, its state there, whether it is done, and whether at an optimum."""
+"""Point and state of a solver, whether it has ended, and whether it is at an optimum."""
 
 
 @program
@@ -239,11 +239,11 @@ def joined_row(parts: Any, coordinate: Array, problem: Problem) -> Array:
 
 
 def _moving_row(y: Array, args: tuple[Problem, Array, Array]) -> Array:
-    """The residual by the coordinates that move, on a side of the box where they leave it."""
+    """Return the residual by the moving coordinates, which are clipped to the bounds."""
     problem, coordinate, places = args
     there = coordinate.at[places].set(y)
     lower, upper = problem.bijector.ends()
-    # On a side itself the derivative is that of the inside, so that what begins there comes back.
+    # On a bound, the derivative is that of the inside, so a point that starts there can leave it.
     inside = (there >= lower) & (there <= upper)
     return residual_row(jnp.where(inside, there, jnp.clip(there, lower, upper)), problem)
 
@@ -253,14 +253,14 @@ _of_moving = eqx.filter_custom_jvp(_moving_row)
 
 @_of_moving.def_jvp
 def _of_moving_jvp(primals: tuple[Array, Any], tangents: tuple[Any, Any]) -> tuple[Array, Array]:
-    # A matrix, which has a transpose, where the loop of an integrator has none.
+    # A matrix has a transpose, while the loop of an integrator has none.
     y, args = primals
     row, matrix, _ = with_jacobian(lambda y: (_moving_row(y, args), ()), y)
     return row, matrix @ tangents[0]
 
 
 class _AtMost(optx.AbstractLeastSquaresSolver[Any, Any, Any, Any]):
-    """A solver that ends after so many steps, by the same program however many those are."""
+    """Solver that ends after `most` steps. One program serves any number of steps."""
 
     rtol: Any
     atol: Any
@@ -291,7 +291,7 @@ class _AtMost(optx.AbstractLeastSquaresSolver[Any, Any, Any, Any]):
 def minimised(
     optimiser: optx.AbstractLeastSquaresSolver, y: Array, args: Any, most: Array
 ) -> tuple[Array, Array, Array]:
-    """Where a solver of optimistix ends, whether at an optimum, and after how many steps."""
+    """Return the end of an optimistix solver, whether it is an optimum, and the number of steps."""
     own: Any = optimiser
     limited = _AtMost(own.rtol, own.atol, own.norm, own, most)
     end: Any = optx.least_squares(_of_moving, limited, y, args, max_steps=None, throw=False)
@@ -299,7 +299,7 @@ def minimised(
 
 
 def _options(bijector: Bijector, active: Array) -> dict[str, Any]:
-    """What the solver has to know beside the problem."""
+    """Return the options of the solver."""
     lower, upper = bijector.ends()
     return {"active": active, "lower": lower, "upper": upper}
 
@@ -315,11 +315,11 @@ def _ended(
     return coordinate, state, done, done & (result == optx.RESULTS.successful)
 
 
-# Steps and residuals of a least-squares problem by compiled programs, on all cores.
+# Steps and residuals of a least-squares problem by compiled programs on all cores.
 #
-# A problem of one run is one program. Of several, the runs are dealt out over the cores, and what
-# they have in common, the step itself, is a program of its own before and after them; so it is on
-# one core, too, whose numbers are the same.
+# A problem with one run is one program. Several runs are distributed over the cores. The common
+# part, the step itself, is a separate program before and after them. One core uses the same
+# programs, so the numbers are the same.
 
 
 def stepped(
@@ -331,9 +331,9 @@ def stepped(
     *,
     sample: bool = False,
 ) -> Stepped:
-    """One step of the solver, by the same programs wherever it is.
+    """Make one step of the solver, with the same programs on any number of cores.
 
-    Of several runs a `sample` has one or a few evaluated, and zeros for the others.
+    With `sample`, only one or a few of several runs are evaluated, and the others are zero.
     """
     if not _several(problem):
         return step(solver, coordinate, problem, state, active)
@@ -345,7 +345,10 @@ def stepped(
 def residuals(
     coordinate: Array, problem: Problem, *, sample: bool = False
 ) -> Float[np.ndarray, " residual"]:
-    """Residuals at a point within the bounds, without derivatives; NaN where the model fails."""
+    """Return the residuals at a point within the bounds, without derivatives.
+
+    The residuals are NaN where the model fails.
+    """
     if not _several(problem):
         return np.asarray(residual_row(coordinate, problem))
     parts = tuple(_of_runs(predicted, coordinate, problem, sample))
@@ -353,7 +356,7 @@ def residuals(
 
 
 def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtState:
-    """The solver's state before its first evaluation."""
+    """Return the state of the solver before its first evaluation."""
     batches, dtype = problem.batches, coordinate.dtype
     prediction = Prediction(
         tuple(jax.ShapeDtypeStruct(batch.observed.shape, dtype) for batch in batches),
@@ -362,23 +365,23 @@ def blank(solver: Marquardt, problem: Problem, coordinate: Array) -> MarquardtSt
     shape = result_row(coordinate, problem)
     sizes = [(len(g.members), math.prod(g.observed.shape[1:])) for g in batches]
     widths = [len(g.shared[0]) + g.width for g in batches]
-    # By numpy, as in the solver: each operation of JAX here would be a program of its own.
+    # NumPy is used as in the solver: each operation of JAX would be a separate program.
     blocks = [np.zeros((*n, w), dtype) for n, w in zip(sizes, widths, strict=True)]
     options = {"jacobian": (*blocks, np.zeros(len(problem.priors.columns), dtype))}
     return solver.init(residual, coordinate, problem, options, shape, prediction, frozenset())
 
 
 def _several(problem: Problem) -> bool:
-    """Whether there are runs to deal out: another device than a CPU takes them as one program."""
+    """Return whether runs are distributed over cores. Only a CPU does so."""
     return jax.default_backend() == "cpu" and sum(len(g.members) for g in problem.batches) > 1
 
 
 def _of_runs(
     call: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem, sample: bool
 ) -> Iterable[tuple[np.ndarray, ...]]:
-    """What a program gives of the runs of each batch, with a leading run axis."""
+    """Return the results of a program for the runs of each batch, with a leading run axis."""
     whole = np.asarray(coordinate)
-    # The runs come with the batch that they are in, and only those of a share.
+    # Each item carries its run, so a core receives only the runs of its share.
     common = dataclasses.replace(problem, batches=())
     batches, places = [], []
     for batch in problem.batches:
@@ -387,7 +390,8 @@ def _of_runs(
         runs = dataclasses.replace(batch, members=(), first=0, shared=())
         items = whole[batch.columns()], runs
         if sample:
-            # Those that tell most, as few as check a derivative.
+            # The runs with the most measured cells are used, as few as a check of a derivative
+            # needs.
             place = np.argsort(-measured, kind="stable")[: sample_size(len(measured))]
             places.append((place, len(measured)))
             items = jax.tree.map(lambda leaf, at=place: np.asarray(leaf)[at], items)
@@ -400,7 +404,7 @@ def _of_runs(
 
 
 def _among(part: tuple[np.ndarray, ...], place: np.ndarray, count: int) -> tuple[np.ndarray, ...]:
-    """What was found of some runs among all of them: zero for the others, which do not fail."""
+    """Return the results of some runs among all runs. The others are zero and successful."""
     whole = [np.full((count, *leaf.shape[1:]), leaf.dtype == bool, leaf.dtype) for leaf in part]
     for leaf, known in zip(whole, part, strict=True):
         leaf[place] = known

@@ -1,4 +1,4 @@
-"""The host loop of a fit: steps until the optimum, and every rule that stops it."""
+"""Host loop of a fit: steps until the optimum, and every rule that stops it."""
 
 import contextlib
 import dataclasses
@@ -21,60 +21,67 @@ from ._uncertainty import FAR_OFF, reestimate, responds, times_white_noise, unde
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """Wall time that a fit may take, all of its starts together, from when it began to run, s."""
+    """Maximum wall-clock time of a fit with all its initial guesses, from its beginning, s."""
 
     seconds: float
     began: float = dataclasses.field(default_factory=lambda: time.monotonic())
 
     def left(self) -> float:
-        """What is left of it, s; negative where it is overdrawn."""
+        """Return the remaining time, s, which is negative if the budget is exceeded."""
         return self.seconds - (time.monotonic() - self.began)
 
     @property
     def ended_it(self) -> str:
-        """Words for a message."""
+        """Text for the message of a fit that the budget ended."""
         return f"the time budget of {time_in_words(self.seconds)} was exhausted"
 
 
-# Why a fit ends where it is not at an optimum: what stops it, told from its last steps.
+# Rules that end a fit which is not at an optimum, based on its last steps.
 
-# Rejected steps in a row, after which the damping has grown by 10^16 and no step is left.
+# Number of consecutive rejected steps after which the damping has grown by a factor of 10^16 and no
+# step is left.
 _REJECTED = 9
 
-# So many steps that lower the cost by less than this part of it are a crawl, where the linear
-# model of the cost promises more than that of the next step alone. Of many cells even that part is
-# much: a crawl gains less than the noise of one cell a step.
+# The fit crawls if its last `_STEPS` steps lower the cost by less than this fraction, while the
+# linear model of the cost predicts a larger decrease for the next step alone. For many cells, even
+# that fraction is large. The limit for `_STEPS` steps is then the noise of `_STEPS` cells.
 _STEPS, _CRAWL = 10, 1e-3
 
-# A model whose cost is more than this part of that of a constant for each channel of each run, and
-# that gained less than a part of it in the last steps, is not about to describe the data. Where
-# constants do describe them, it is enough that the last steps did not halve the cost.
+# A model is unlikely to describe the data if its cost exceeds the fraction `_UNEXPLAINED` of the
+# cost of a constant for each channel of each run, and if the last steps gained less than the
+# fraction `_GAIN`. If constants do describe the data, it suffices that the last steps did not halve
+# the cost.
 _FEW, _SOME, _LAST, _GAIN, _HALVED, _UNEXPLAINED = 6, 10, 5, 0.05, 1.0, 0.8
 
-# A step that is longer than this part of the longest one is on its way from a far start.
+# A step longer than this fraction of the longest permitted step is on its way from a poor initial
+# guess.
 _LONG = 0.99
 
-_LITTLE = 0.01  # part of the cost that is not worth to be promised
-_MISFIT = 4.0  # above this reduced chi-square something is missing
+_LITTLE = 0.01  # smallest fraction of the cost that is a relevant predicted decrease
+_MISFIT = 4.0  # largest reduced chi-square of a model that may describe the data
 
-# In standard errors: as near to an optimum as a cost that is not smooth lets a fit come, and so
-# near that the linear model of the cost holds as far as the optimum.
+# Distances from the optimum in standard errors: the distance that a fit can reach if the cost is
+# not smooth, and the distance within which the linear model of the cost is valid.
 _NEAR, _LINEAR = 0.1, 1.0
 
-_REFUSED = 3  # refused steps in a row that are no accident there
+_REFUSED = 3  # smallest number of consecutive rejected steps there that is systematic
 
 
 def stopped_by(state: FitState) -> tuple[Reason, str] | None:
-    """What keeps a fit from going on after a trial step: a word as of `FitResult.reason`; why."""
+    """Return the reason why a fit cannot continue after a trial step, or None.
+
+    Returns:
+        A word as in `FitResult.reason`, and a sentence.
+    """
     steps = state.history[state.round_began :]
     if not state.converged and (state.done or _rejected_in_a_row(steps) >= _REJECTED):
         return _stuck(state)
     if state.done:
         return None
     costs = np.asarray([step.cost for step in steps])
-    # Where the linear model promises little, the fit is about to end by itself.
+    # If the linear model predicts a small decrease, the fit is about to end by itself.
     hopeful = state.predicted_decrease() < _LITTLE * state.cost or _travels(state, steps[-_LAST:])
-    # The cost of a constant is that of cells which are independent of each other.
+    # The cost of a constant assumes that the noise of the cells is independent.
     hopeful = hopeful or not state.noise.is_white
     if len(costs) > _FEW and not hopeful and 2 * state.cost > _MISFIT * len(state.inner.residual):
         constant = constant_cost(state)
@@ -104,20 +111,20 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
 
 
 def near_optimum(state: FitState) -> bool:
-    """Whether the optimum is so near that a cost which is not smooth hides the rest of the way."""
+    """Return whether a cost that is not smooth hides the remaining way to the optimum."""
     return bool(np.sqrt(2 * state.predicted_decrease()) <= _NEAR * state.residual_scale())
 
 
 def refused_near_optimum(state: FitState) -> bool:
-    """Whether steps within a standard error are refused, so that derivatives are not slopes."""
+    """Return whether steps within one standard error are rejected, so the derivatives are wrong."""
     near = np.sqrt(2 * state.predicted_decrease()) <= _LINEAR * state.residual_scale()
-    # Beyond a wall they are refused, too.
+    # Steps into a region where the model fails are rejected as well.
     refused = _rejected_in_a_row(state.history[state.round_began :])
     return bool(state.inner.finite) and bool(near) and refused >= _REFUSED
 
 
 def constant_cost(state: FitState) -> float:
-    """The cost of the best constant for each channel of each run."""
+    """Return the cost of the best constant for each channel of each run."""
     total = 0.0
     for batch in state.problem.batches:
         weights, observed = np.asarray(batch.weight), np.asarray(batch.observed)
@@ -129,18 +136,18 @@ def constant_cost(state: FitState) -> float:
 
 
 def _travels(state: FitState, steps: Sequence[Iteration]) -> bool:
-    """Whether each step leads downhill, and is as long as one may be."""
+    """Return whether each step is accepted and as long as permitted."""
     long = _LONG * state.solver.largest_step
     return all(step.accepted and step.step >= long for step in steps)
 
 
 def _rejected_in_a_row(steps: Sequence[Iteration]) -> int:
-    """How many of the last trial steps were rejected, one after the other."""
+    """Return the number of consecutive rejected steps at the end."""
     return len(list(itertools.takewhile(lambda step: not step.accepted, reversed(steps))))
 
 
 def _stuck(state: FitState) -> tuple[Reason, str]:
-    """No step is accepted any more: the model fails beyond, or its cost is not smooth."""
+    """Return why no step is accepted: the model fails beyond, or its cost is not smooth."""
     if not bool(state.inner.finite):
         return "wall", (
             "the model cannot be evaluated beyond the current point, but the optimum is not "
@@ -153,9 +160,9 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
 
 
 def _cannot_describe(state: FitState) -> str:
-    """What to say of residuals many times the noise, which the last steps did not halve.
+    """Return a clause on large residuals that the last steps did not halve, or "".
 
-    Where the noise has been estimated, there has been an optimum with such residuals.
+    If the noise has been estimated, an optimum with such residuals was already reached.
     """
     steps = state.history[state.round_began :]
     gained = len(steps) <= _LAST or steps[-1 - _LAST].cost > 2 * steps[-1].cost
@@ -165,21 +172,21 @@ def _cannot_describe(state: FitState) -> str:
     if not scale > FAR_OFF:
         return ""
     return (
-        f", and the residuals are {scale:.2g} times the noise: the model does not describe the "
-        "data; run giajax check on the data (units, signs, labels, lost cells, glitches), and "
+        f", and the residuals are {scale:.2g} times the noise, so the model does not describe the "
+        "data: run giajax check on the data (units, signs, labels, lost cells, glitches), and "
         "giajax suspects on the result"
     )
 
 
 def _direction(state: FitState) -> str:
-    """The parameter of the model whose coordinate the last step moved most."""
+    """Return the model parameter whose coordinate the last step changed most."""
     best = int(np.argmax(np.abs(np.asarray(state.inner.step))))
     places = zip(state.problem.paths, state.problem.positions, strict=True)
-    return next((path for path, at in places if best in at), "the states of single runs")
+    return next((path for path, at in places if best in at), "the states of individual runs")
 
 
 def advance(state: FitState) -> FitState:
-    """The state after this one: a trial step, or what there is to do once none is left."""
+    """Return the next state: after a trial step, or after the actions that follow the last step."""
     if not state.evaluated:
         return _at_start(state)
     if not state.done:
@@ -189,14 +196,14 @@ def advance(state: FitState) -> FitState:
 
 
 def advance_alone(state: FitState) -> FitState:
-    """As `advance`, with the noise and the tolerance as they are, and what does not move held."""
+    """Advance a fit with the noise and the tolerance unchanged, and dead parameters held."""
     if not state.evaluated:
         state = step(state)
         if not state.evaluated:
             return state.ended(
                 "not_converged", "the model cannot be evaluated at this point", "wall"
             )
-        # What was not left out may leave some without a response.
+        # Active parameters may include some without a response.
         moves = responds(state.natural_jacobian.norms(), state.sizes)
         state = with_active(state, moves & np.asarray(state.active))
         state = dataclasses.replace(state, done=False, converged=False)
@@ -220,27 +227,28 @@ def descend(
     keep: Callable[[FitState], None] | None = None,
     advance: Callable[[FitState], FitState] = advance,
 ) -> FitState:
-    """Step until converged; the `ending` of the state says how it ended.
+    """Step until the fit ends. The `ending` of the state describes how it ended.
 
     Arguments:
-        state: where to begin, or to go on.
-        max_iterations: trial steps before the fit gives up.
-        progress: called after each trial step.
-        budget: ends the fit before a step that it has no time for.
-        keep: called with each state on the way. Whoever continues from one of them reaches the
-            same end. What only ends the fit early (iterations, budget, Ctrl-C) is not a part of
-            them.
-        advance: gives the state after another one.
+        state: state from which to begin or continue.
+        max_iterations: maximum number of trial steps.
+        progress: function that is called after each trial step.
+        budget: time budget. The fit ends before a step for which the remaining time is too short.
+        keep: function that is called with each intermediate state. A fit that continues from such a
+            state reaches the same end. These states do not include an early end by iterations,
+            budget or Ctrl-C.
+        advance: function that returns the next state.
 
     Raises:
-        InputError: the model cannot be evaluated at the start.
-        KeyboardInterrupt: before anything was evaluated; later the best state so far is returned.
+        InputError: the model cannot be evaluated at the initial values.
+        KeyboardInterrupt: Ctrl-C before the first evaluation. Later the best state so far is
+            returned.
     """
     reached = state
     try:
         while reached.ending is None:
             if (limit := _limit(reached, max_iterations, budget)) is not None:
-                # At an optimum only a last step nearer to it was left to try.
+                # At an optimum, only a last step closer to it was left.
                 if reached.converged:
                     return _converged(reached)
                 sentence, reason = limit
@@ -254,12 +262,12 @@ def descend(
     except KeyboardInterrupt:
         if not reached.evaluated:
             raise
-        # An optimum that was reached in this very moment is one.
+        # The optimum may have been reached at the moment of the interruption.
         if reached.ending is not None:
             return reached
         sentence = f"interrupted after {reached.trials} iterations; this is the best point so far"
         sentence += _rows(reached)
-        # Interrupted once more, it ends with what counted.
+        # If the fit is interrupted again, it ends with the rows used so far.
         with contextlib.suppress(KeyboardInterrupt):
             reached = with_all_rows(reached)
         return reached.ended("interrupted", sentence, "interrupted")
@@ -267,14 +275,14 @@ def descend(
 
 
 def _rows(state: FitState) -> str:
-    """Which rows counted in a fit that began with the first ones."""
-    return f" (of the first {state.part:.0%} of the rows)" if state.part < 1 else ""
+    """Return a clause on the rows used in a fit that began with the first ones."""
+    return f" (for the first {state.part:.0%} of the rows)" if state.part < 1 else ""
 
 
 def _limit(
     state: FitState, max_iterations: int, budget: Budget | None
 ) -> tuple[str, Reason] | None:
-    """Why no further step may be tried; None where one may."""
+    """Return why no further step may be tried, or None."""
     if not state.evaluated or state.done:
         return None
     if state.trials >= max_iterations:
@@ -294,7 +302,7 @@ def _limit(
 
 
 def _at_start(state: FitState) -> FitState:
-    """With the start evaluated, and what does not respond there held."""
+    """Return the state with the start evaluated and parameters without a response held."""
     state = step(state)
     if not state.evaluated:
         raise InputError(
@@ -312,25 +320,25 @@ def _at_start(state: FitState) -> FitState:
     return state.ended(
         "not_converged",
         "no channel responds to any of the free parameters: check that the model moves ([initial], "
-        "commands and their joints), and that the recorded channels move",
+        "commands and their joints) and that the recorded channels vary",
         "no_response",
     )
 
 
 def with_active(state: FitState, moves: np.ndarray) -> FitState:
-    """An evaluated point at which only some parameters may move."""
-    # As every later evaluation gives the factor, so that a fit that goes on from here is the same.
+    """Return an evaluated point at which only some parameters may move."""
+    # The factor equals that of later evaluations, so a fit that continues from here is the same.
     factor = on_device(np.where(np.asarray(moves)[None], np.asarray(state.inner.factor), 0))
     inner = eqx.tree_at(lambda inner: inner.factor, state.inner, factor)
     return dataclasses.replace(state, active=on_device(np.asarray(moves, bool)), inner=inner)
 
 
 def _after(tried: FitState) -> FitState:
-    """After a trial step: the same, or what may still be done where the fit does not get on."""
+    """Return the state after a trial step, or after the remedy if the fit does not progress."""
     reason, sentence = stopped_by(tried) or ("", "")
     if tried.part < 1:
         return with_next_rows(tried, bool(reason))
-    # A step that is refused so near to an optimum may be so for what the cost jumps by.
+    # So near to an optimum, a step may be rejected because of jumps of the cost.
     refused = not (tried.done or bool(tried.inner.accepted))
     lost = refused and refused_near_optimum(tried)
     rough = lost or (refused and near_optimum(tried)) or reason in ("rough", "crawl")
@@ -342,13 +350,13 @@ def _after(tried: FitState) -> FitState:
 
 
 def _by_optimiser(state: FitState) -> FitState:
-    """Where the optimiser of the settings ends, all steps in one, by the same derivatives."""
+    """Return the state at the end of the configured optimiser. One program makes all steps."""
     optimiser, most = state.setup.settings.optimiser, state.setup.settings.max_iterations
     name = type(optimiser).__name__
     coordinate = np.array(state.coordinate)
     places = np.flatnonzero(np.asarray(state.active))
     y = on_device(coordinate[places], coordinate.dtype)
-    # Of no step first, which compiles the program of any number of them.
+    # A call with zero steps compiles the program for any number of steps.
     began, arguments = time.perf_counter(), (state.problem, state.coordinate, on_device(places))
     minimised(optimiser, y, arguments, on_device(np.array(0)))
     first, *others = state.step_seconds
@@ -359,14 +367,14 @@ def _by_optimiser(state: FitState) -> FitState:
     coordinate[places] = np.asarray(y)
     lower, upper = state.problem.bijector.ends()
     there = step(move(state, np.clip(coordinate, np.asarray(lower), np.asarray(upper))))
-    # One that diverges may end anywhere.
+    # An optimiser that diverges may end anywhere.
     there = there if there.cost <= state.cost else state
     there = dataclasses.replace(there, trials=state.trials + int(count))
     there = there.recorded(accepted=there.cost < state.cost)
     if successful and near_optimum(there):
         return dataclasses.replace(there, done=True, converged=True)
     if successful and there.cost < (1 - _CRAWL) * state.cost:
-        # Beyond a bound it had no derivative: from the bound it may come back.
+        # The optimiser had no derivative beyond a bound. From the bound it may return.
         return dataclasses.replace(there, done=False, converged=False)
     reason: Reason
     if int(count) >= left:
@@ -382,9 +390,9 @@ def _by_optimiser(state: FitState) -> FitState:
 
 
 def _next_round(state: FitState) -> FitState:
-    """From an optimum to the next one with another noise; where the noise is settled, the end.
+    """Continue from an optimum with re-estimated noise, or end if the noise has converged.
 
-    The last word is always an optimum with the noise that it was fitted with.
+    The last state is always an optimum for the noise with which it was fitted.
     """
     if (woken := _woken(state)) is not None:
         return woken
@@ -399,14 +407,18 @@ def _next_round(state: FitState) -> FitState:
 
 
 def _woken(state: FitState) -> FitState | None:
-    """With what did not respond at the start, and does at this optimum, free; None without any."""
+    """Free the parameters that respond at this optimum, but did not at the start.
+
+    Returns:
+        The new state, or None if there is no such parameter.
+    """
     active = np.asarray(state.active)
     if np.all(active):
         return None
     slope = np.maximum(state.problem.bijector.slope(np.asarray(state.coordinate)), 1e-300)
     whole = BlockJacobian.of(state.problem, state.inner.jacobian).scaled(1 / slope)
     moves = active | responds(whole.norms(), state.sizes)
-    # What is only another one's like would take its standard error away.
+    # A parameter that duplicates a free one would make that parameter's standard error undefined.
     columns = np.flatnonzero(moves)
     for group in undetermined_groups(whole.reduced()[:, columns]):
         moves[columns[group]] = active[columns[group]]
@@ -419,14 +431,15 @@ def _woken(state: FitState) -> FitState | None:
 
 
 def _settled(state: FitState) -> FitState:
-    """The end at an optimum; one step more where a step would move it."""
+    """End the fit at an optimum, or make one more step that would improve it."""
     finer = with_suitable_tolerance(state)
     if finer.tolerance != state.tolerance:
-        # The optimum has followed it; where no step is left, the noise may have done so, too.
+        # The optimum has followed the tolerance. If no step is left, the noise may have changed,
+        # too.
         finer = finer.recorded(accepted=True)
         return dataclasses.replace(finer, done=not can_improve(finer), converged=True)
     if can_improve(finer) and state.setup.settings.optimiser is None:
-        # So near to the optimum the noise is settled: it is not estimated once more.
+        # So near to the optimum, the noise has converged and is not estimated again.
         return dataclasses.replace(finer, done=False, converged=True, rounds_left=0)
     return _converged(finer)
 

@@ -1,4 +1,4 @@
-"""Losses: how a large residual counts. A loss of one's own is one more."""
+"""Loss functions, which weight large residuals. Users can define additional ones."""
 
 import abc
 import dataclasses
@@ -20,13 +20,13 @@ from ..runtime.text import InputError, shown, tried
 
 
 class Scores(NamedTuple):
-    """What a loss makes of residuals, each of their shape.
+    """Loss and its derivatives at residuals. All arrays have the shape of the residuals.
 
     Attributes:
-        rho: what they count as.
-        psi: half its derivative.
-        curvature: the derivative of psi.
-        slope: that of t(r) = sign(r) sqrt(rho(r)); 1 at 0.
+        rho: value of the loss.
+        psi: half the derivative of `rho`.
+        curvature: derivative of `psi`.
+        slope: derivative of t(r) = sign(r) sqrt(rho(r)), which is 1 at 0.
     """
 
     rho: Any
@@ -41,14 +41,14 @@ def _all_scores(loss: "AbstractLoss", r: Array) -> Scores:
 
     rho = loss.rho(r)
     value, curvature = jax.jvp(psi, (r,), (jnp.ones_like(r),))
-    # rho = t^2, so psi = t t'; at 0 every loss is quadratic with t' = 1.
+    # rho = t^2 gives psi = t t'. At 0 every loss is quadratic with t' = 1.
     t = jnp.sign(r) * jnp.sqrt(rho)
     slope = jnp.where(t == 0, 1, value / jnp.where(t == 0, 1, t))
     return Scores(rho, value, curvature, slope)
 
 
 def untransformed(rows: np.ndarray | float, slope: np.ndarray) -> np.ndarray:
-    """What was multiplied by the slope without it; 0 where rho is level: it has no part there."""
+    """Divide by the slope. The result is 0 where rho is constant, so a cell has no effect."""
     return np.divide(rows, slope, out=np.zeros(np.broadcast(rows, slope).shape), where=slope != 0)
 
 
@@ -67,65 +67,67 @@ def _transform_jvp(primals: tuple[Any, Array], tangents: tuple[Any, Any]) -> tup
     return _transform(loss, r), None if moved is None else _scores(loss, r).slope * moved
 
 
-# Shares of a run's cells that are off by more than their deviation: of a third, noise alone is the
-# cause; of two thirds, the model is still far from the data.
+# Fractions of the cells of a run with residuals above one standard deviation: the first is expected
+# from noise alone, and at the second the model is still far from the data.
 _NOISE_ALONE, _FAR = 0.35, 0.65
 
-# Part of the curvature of far cells that is kept at an optimum, where they have none or little.
+# Fraction of the reweighted curvature that remains for distant cells at an optimum, where their own
+# curvature is small or negative.
 _KEPT = 0.05
 
-_FEWEST = 1024  # residuals that are scored at once: each number of them would be a program
+_FEWEST = 1024  # minimum length of padded residuals, because each length needs a program
 
 
 class AbstractLoss(eqx.Module):
-    """How residuals, in units of their noise, count: the cost of a fit is half the sum of `rho`.
+    """Loss function of residuals that are divided by their noise.
 
-    A loss has this one method; all else follows from its derivatives. Its parameters are numbers,
-    fields with a default, and are held. `check_loss` tests a loss.
+    The cost of a fit is half the sum of `rho`. A subclass defines only this method, and all other
+    quantities follow from its derivatives. The parameters of a loss are numbers, fields with a
+    default, and are held in a fit. `check_loss` tests a loss.
     """
 
     registered_as: ClassVar[str] = "loss"
 
     @abc.abstractmethod
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """What each residual counts as, by itself: r^2 near 0, even, never less farther off."""
+        """Return the loss of each residual: r^2 near 0, even, and not decreasing in |r|."""
 
     @optional
     def transform(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """t(r) = sign(r) sqrt(rho(r)): half the sum of t^2 is the cost, as of least squares."""
+        """Return t(r) = sign(r) sqrt(rho(r)). The least-squares cost is half the sum of t^2."""
         return _transform(self, r)
 
     @optional
     def scores(self, r: Float[np.ndarray, "*n"]) -> Scores:
-        """`rho` and its derivatives at residuals, as arrays of NumPy."""
-        # Padded to a power of two, of which there are few.
+        """Return `rho` and its derivatives at residuals, as NumPy arrays."""
+        # Padding to a power of two limits the number of programs.
         padded = np.zeros(max(_FEWEST, 1 << max(r.size - 1, 0).bit_length()))
         padded[: r.size] = r.ravel()
         found = _scores(self, jnp.asarray(padded))
         return Scores(*(np.asarray(each)[: r.size].reshape(r.shape) for each in found))
 
     def weights(self, r: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Those of reweighted least squares, psi / r; 1 at 0."""
+        """Return the weights of iteratively reweighted least squares, psi / r, which are 1 at 0."""
         return np.divide(self.scores(r).psi, r, out=np.ones(r.shape), where=r != 0)
 
     @property
     def outlier_weight(self) -> float:
-        """The weight below which a cell is an outlier, about three deviations off."""
+        """Weight below which a cell is an outlier, at about three standard deviations."""
         return float(np.clip(self.weights(np.array([3.0]))[0], 1e-6, 1 / 3))
 
     def curvature_ratio(
         self, r: Float[Array, " cell"], measured: Float[Array, " cell"]
     ) -> Float[Array, " cell"]:
-        """By what to multiply rows of the Jacobian of t for a good second derivative of the cost.
+        """Return factors on rows of the Jacobian of t for an accurate curvature of the cost.
 
-        Gauss-Newton on t takes t'^2 for the curvature of a cell, which is right for none of the far
-        ones. Where the model is off, psi / r is: the step of reweighted least squares, which would
-        remove all residuals, where that of t would be twice as long. At the optimum, where outliers
-        stay, it is psi', or none where that is negative. What is between the two is told by the
-        share of the cells that are far.
+        Gauss-Newton with t uses t'^2 as the curvature of a cell, which is wrong for all distant
+        cells. If the model is far from the data, psi / r is right: this is the step of reweighted
+        least squares, which would remove all residuals, while the step for t would be twice as
+        long. At the optimum, where outliers remain, the right curvature is psi', or zero if that is
+        negative. The fraction of distant cells determines the interpolation between the two.
 
-        It is the root of the curvature over t'; `measured` is 1 or 0. With rows of t divided by it
-        the gradient stays the same.
+        The factor is the square root of the curvature, divided by t'. `measured` is 1 or 0.
+        Dividing the rows of t by the factor keeps the gradient unchanged.
         """
         _, psi, curvature, slope = _scores(self, r)
         reweighted = jnp.where(r == 0, 1, psi / jnp.where(r == 0, 1, r))
@@ -133,29 +135,29 @@ class AbstractLoss(eqx.Module):
         share = far / jnp.maximum(jnp.sum(measured), 1)
         off = jnp.clip((share - _NOISE_ALONE) / (_FAR - _NOISE_ALONE), _KEPT, 1)
         root = jnp.sqrt(off * reweighted + (1 - off) * jnp.maximum(curvature, 0))
-        # Where rho is level, a cell has no part in the step.
+        # Where rho is constant, a cell has no effect on the step.
         return jnp.where(slope > 0, root / jnp.where(slope > 0, slope, 1), 1)
 
     @property
     def is_linear(self) -> bool:
-        """Whether each residual counts as its square, so that least squares stay what they are."""
+        """Whether the loss is the square of each residual, so that least squares need no change."""
         return type(self) is Linear
 
     @property
     def mean_square(self) -> float:
-        """The mean of psi^2 of normal noise of deviation 1, by which a robust chi-square is one."""
+        """Mean of psi^2 for unit normal noise, which normalises a robust chi-square."""
         return _normal_mean(lambda r: self.scores(r).psi ** 2)
 
     @property
     def efficiency(self) -> float:
-        """With normal noise, the variance of a least-squares estimate over that with this loss.
+        """Variance of a least-squares estimate relative to that with this loss, for normal noise.
 
-        It is the square of the mean of psi' over the mean of psi^2 (Huber 1981, section 3.2).
+        It is the squared mean of psi' divided by the mean of psi^2 (Huber 1981, section 3.2).
         """
         return _normal_mean(lambda r: r * self.scores(r).psi) ** 2 / self.mean_square
 
     def contents(self) -> str | dict[str, Any]:
-        """What files say of it: its name or, with parameters, a table of name and parameters.
+        """Return the entry in files: the name or, with parameters, a table of name and parameters.
 
         Raises:
             InputError: its class is not registered, or a parameter is not a number.
@@ -171,7 +173,7 @@ class AbstractLoss(eqx.Module):
 
 
 def _parameters(loss: AbstractLoss) -> dict[str, int | float]:
-    """The parameters of a loss by name, which must be numbers."""
+    """Return the parameters of a loss by name. They must be numbers."""
     name, values = name_of(type(loss)), {}
     for each in dataclasses.fields(loss):
         given = getattr(loss, each.name)
@@ -183,8 +185,8 @@ def _parameters(loss: AbstractLoss) -> dict[str, int | float]:
             )
         if each.name == "name":
             raise InputError(
-                f"the loss {name} has a parameter called 'name', which files reserve for the loss "
-                "itself: rename the parameter"
+                f"the loss {name} has a parameter called 'name', which is reserved in files for "
+                "the name of the loss: rename the parameter"
             )
         values[each.name] = value
     return values
@@ -198,59 +200,59 @@ def _normal_mean(of: Any) -> float:
 
 @register
 class Linear(AbstractLoss):
-    """r^2: least squares."""
+    """Squared residual r^2 (least squares)."""
 
     kind: ClassVar[str] = "linear"
 
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """r^2."""
+        """Return r^2."""
         return r**2
 
     def transform(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The residuals themselves."""
+        """Return the residuals unchanged."""
         return r
 
     def scores(self, r: Float[np.ndarray, "*n"]) -> Scores:
-        """`rho` and its derivatives at residuals, without a program."""
+        """Return `rho` and its derivatives at residuals, without a compiled program."""
         return Scores(r**2, r, np.ones_like(r), np.ones_like(r))
 
 
 @register
 class Huber(AbstractLoss):
-    """r^2 up to |r| = 1, and 2 |r| - 1 beyond (Huber 1964)."""
+    """Huber loss: r^2 up to |r| = 1, and 2 |r| - 1 beyond (Huber 1964)."""
 
     kind: ClassVar[str] = "huber"
 
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Quadratic, then a line."""
+        """Return the quadratic and, beyond |r| = 1, linear loss."""
         return jnp.where(jnp.abs(r) <= 1, r**2, 2 * jnp.abs(r) - 1)
 
 
 @register
 class SoftL1(AbstractLoss):
-    """2 (sqrt(1 + r^2) - 1): as Huber's, and smooth."""
+    """Soft L1 loss, 2 (sqrt(1 + r^2) - 1), a smooth variant of the Huber loss."""
 
     kind: ClassVar[str] = "soft_l1"
 
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Without the cancellation near 0."""
+        """Return the loss in a form without cancellation near 0."""
         return 2 * r**2 / (1 + jnp.sqrt(1 + r**2))
 
 
 @register
 class StudentT(AbstractLoss):
-    """(nu + 1) log(1 + r^2 / (nu + 1)) for noise with the tails of Student's t.
+    """Student's t loss, (nu + 1) log(1 + r^2 / (nu + 1)), for noise with heavy tails.
 
-    That is minus twice the logarithm of the density of t, up to a constant, of such a scale that
-    its curvature at 0 is that of normal noise (Lange, Little and Taylor 1989). Its influence falls
-    again beyond |r| = sqrt(nu + 1), so that outliers far off have hardly any, and a start far off
-    may have optima of its own.
+    It is minus twice the logarithm of the density of t, up to a constant. The density is scaled so
+    that its curvature at 0 equals that of normal noise (Lange, Little and Taylor 1989). The
+    influence of a residual decreases beyond |r| = sqrt(nu + 1), so distant outliers have almost no
+    effect. A poor initial guess may therefore lead to a local optimum.
 
     Arguments:
-        degrees_of_freedom: nu, which is held; 4 is what the source found to work well.
+        degrees_of_freedom: nu, which is held. The source recommends 4.
 
     Raises:
-        InputError: degrees of freedom that are not positive.
+        InputError: the number of degrees of freedom is not positive.
     """
 
     kind: ClassVar[str] = "student_t"
@@ -264,16 +266,19 @@ class StudentT(AbstractLoss):
             )
 
     def rho(self, r: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """Quadratic, then a logarithm."""
+        """Return the loss, which is quadratic near 0 and logarithmic beyond."""
         size = self.degrees_of_freedom + 1
         return size * jnp.log1p(r**2 / size)
 
 
 def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
-    """The loss that settings or a result state: a name, or a table of that and of parameters.
+    """Return the loss for an entry of settings or of a result.
+
+    Arguments:
+        said: name of the loss, or a table of its name and parameters.
 
     Raises:
-        InputError: there is no such name, or it has no such parameters.
+        InputError: the name is unknown, or the loss does not have these parameters.
 
     Example:
         >>> from giajax.fitting import loss_of
@@ -302,20 +307,21 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
 
 
 def check_loss(loss: AbstractLoss) -> None:
-    """Try a loss at 0 and at residuals from a thousandth of the noise to ten thousand times it.
+    """Test a loss at 0 and at residuals from 0.001 to 10 000 times the noise.
 
     Raises:
-        InputError: a parameter is not a number, or the class overrides another method than `rho`;
-            or naming the method and what is wrong: an exception, a shape, a type, a value or a
-            derivative that is not finite, a value that is negative, that differs for -r or beside
-            others, that jumps or that falls for larger residuals, or another beginning than r^2.
+        InputError: a parameter is not a number, the class overrides a method other than `rho`, or
+            `rho` is wrong: it raises an exception, or returns a wrong shape or type, a value or
+            derivative that is not finite, or a negative value; it differs for -r, depends on other
+            residuals, jumps, decreases for larger residuals, or is not r^2 near 0. The message
+            names the method.
     """
     if not isinstance(loss, AbstractLoss):
         raise InputError(
             f"{shown(loss)} is not a loss: give an instance of a class derived from "
             "giajax.fitting.AbstractLoss, such as giajax.fitting.StudentT()"
         )
-    _parameters(loss)  # what can be hashed
+    _parameters(loss)  # refuses parameters that cannot be hashed
     if type(loss).__module__ != __name__:
         _check_rho(loss)
 
@@ -340,7 +346,8 @@ def _check_rho(loss: AbstractLoss) -> None:
             )
         if given.dtype != r.dtype:
             raise InputError(
-                f"{what} returns {given.dtype} for residuals of {r.dtype}: keep the data type"
+                f"{what} returns {given.dtype} for residuals of type {r.dtype}: return the same "
+                "type"
             )
         found, mirrored = _scores(loss, r), np.asarray(loss.rho(-r))
         few, more = loss.rho(r[::2]), loss.rho(jnp.append(jnp.zeros_like(r), r))[r.size :]
@@ -353,7 +360,7 @@ def _check_rho(loss: AbstractLoss) -> None:
 
     for name, values in names.items():
         refuse(~np.isfinite(values), f"has a {name} that is not finite", "correct it")
-    refuse(rho < 0, "is negative", "make it at least 0, and r^2 near 0")
+    refuse(rho < 0, "is negative", "make it at least 0, and equal to r^2 near 0")
     rounding = 1e-9 if rho.dtype == np.float64 else 1e-4
     uneven = np.abs(mirrored - rho) > rounding * np.abs(rho)
     refuse(uneven, "differs from its value at -r", "make it depend only on |r|")
@@ -367,7 +374,7 @@ def _check_rho(loss: AbstractLoss) -> None:
     if rho[0] != 0 or abs(curvature[0] - 1) > rounding:
         raise InputError(
             f"{what} is {rho[0]:.3g} + {curvature[0]:.6g} r^2 near r = 0, but must be r^2 there, "
-            "because residuals are in units of the noise: rescale it"
+            "because residuals are divided by the standard deviation of the noise: rescale it"
         )
     falling = np.append(False, np.diff(rho) < -rounding * rho[1:])
     refuse(falling, "decreases for larger residuals", "make it increase with |r|")
@@ -377,9 +384,10 @@ def _check_rho(loss: AbstractLoss) -> None:
     refuse(
         bent,
         "deviates from r^2 near 0",
-        "make it equal to r^2 there, because residuals are in units of the noise",
+        "make it equal to r^2 there, because residuals are divided by the standard deviation of "
+        "the noise",
     )
-    # Coarse: psi may have a corner, or end at once.
+    # The tolerance is coarse, because psi may have a corner or end abruptly.
     sums = np.append(0.0, np.cumsum((psi[1:] + psi[:-1]) * np.diff(size)))
     refuse(
         np.abs(rho - sums) > 0.2 * rho,

@@ -1,7 +1,7 @@
-"""What is always uncertain of devices and constants: free in a fit, with a prior.
+"""Uncertain properties of devices and constants, which are free in a fit, with priors.
 
-No test finds an omission that what is fitted imitates: a camera that is late by two standard errors
-of its delay is not seen, and moves a drag coefficient that is correlated with it by ten.
+No test detects an omission that the fitted parameters can imitate: a camera delay that is wrong by
+two standard errors is not noticed, but shifts a correlated drag coefficient by ten.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,15 +25,16 @@ from ..schema.parameters import (
 def with_nuisances(
     model: AbstractModel, runs: Sequence[Run], settings: FitSettings
 ) -> tuple[FitSettings, tuple[str, ...]]:
-    """The settings with the priors and ties of what is uncertain, and the paths of that, to free.
+    """Return the settings with priors and ties of the nuisance parameters, and their paths.
 
-    It is what `[uncertainty]` of the runs states, else what is usual of the model's devices
-    (`giajax.models.capabilities.uncertain`). Of an array with one number the first element is free,
-    and the others follow it. What the settings say anything of is theirs.
+    The nuisance parameters are those that the runs list in `[uncertainty]`, otherwise the usual
+    ones of the devices of the model (`giajax.models.capabilities.uncertain`). If one number applies
+    to an array, its first element is free, and the other elements are tied to it. Parameters that
+    the settings mention are not changed.
 
     Raises:
-        InputError: `[uncertainty]` names what is not a parameter or has another number of values,
-            or the runs contradict each other in it.
+        InputError: `[uncertainty]` contains a path that is not a parameter, or a wrong number of
+            values, or the runs contradict each other.
     """
     if not settings.nuisances:
         return settings, ()
@@ -65,34 +66,34 @@ def with_nuisances(
 
 
 def _followers(path: str, first: str, before: Mapping[str, str]) -> dict[str, str]:
-    """Ties of the other elements of an array to the first, by what stands before it for each."""
+    """Return the ties of the other elements of an array to the first, with a prefix for each."""
     if not any(before.values()):
         return {path: first} if before else {}
     return {other: f"{factor}{first}" for other, factor in before.items()}
 
 
 def _stated(runs: Sequence[Run]) -> dict[str, Any]:
-    """What the runs say of how surely something is known, by path."""
+    """Return the standard deviations that the runs give in `[uncertainty]`, by path."""
     stated: dict[str, Any] = {}
     for run in runs:
         for path, deviations in run.definition.uncertainty.deviations.items():
             if stated.setdefault(path, deviations) != deviations:
                 raise InputError(
-                    f"the runs state different values of [uncertainty] for {path}: state one "
-                    "value, or fit the runs separately"
+                    f"the runs have different values for {path} in [uncertainty]: give one value, "
+                    "or fit the runs separately"
                 )
     return stated
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
-    """The model with what a path names on, where it does nothing yet, and in full."""
+    """Return the model with an omitted parameter switched on at its neutral value, as an array."""
     name = path.partition("[")[0]
     absent = left_out(model).get(name)
     if absent is not None:
         about = absent.declaration
         if not about.lower < about.neutral < about.upper:
             raise InputError(
-                f"[uncertainty] names {path}, which this model omits: state its value, too"
+                f"[uncertainty] names {path}, which this model omits: give its value, too"
             )
         model = absent.set(model, about.neutral)
     if name in capabilities.scattering(model):
@@ -101,7 +102,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
 
 
 def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
-    """The model with a value of this parameter for each joint or link, not one for all."""
+    """Return the model with a value of this parameter for each joint or link instead of one."""
     value = np.asarray(parameter.value(model))
     if value.ndim or parameter.any_number:
         return model
@@ -113,9 +114,10 @@ def in_full(model: AbstractModel, parameter: Parameter) -> AbstractModel:
 
 
 def with_scattering(model: AbstractModel, paths: Iterable[str]) -> AbstractModel:
-    """The model with a value of its own for each joint of what is named and may scatter.
+    """Return the model with separate values for each joint of named parameters that may scatter.
 
-    Likewise of what may be wrong of one element, where an element is named.
+    The same applies to parameters of which a single element is named, if single elements may be
+    wrong.
     """
     parts = [path.partition("[") for path in paths]
     named = {name for name, _, _ in parts}.intersection(capabilities.scattering(model))
@@ -133,18 +135,18 @@ def _add(
     priors: dict[str, PriorEntry],
     ties: dict[str, str],
 ) -> None:
-    """Add the priors of a path, and what follows from what it has them of."""
+    """Add the priors of a path, and the ties of the elements that depend on them."""
     parts = elements(model, path)
     sizes = np.asarray(deviations, dtype=float)
     if sizes.size not in (1, len(parts)):
         raise InputError(
-            f"[uncertainty] states {sizes.size} values for {path}, which has {len(parts)}: give "
-            "one value, or one for each element"
+            f"[uncertainty] gives {sizes.size} values for {path}, which has {len(parts)} "
+            f"element{'s' * (len(parts) != 1)}: give one value, or one for each element"
         )
     values = [float(part.value(model)) for part in parts]
     if sizes.ndim == 0 and len(parts) > 1 and not parts[0].declaration.shape:
         if sizes:
-            # All are off by as much.
+            # All elements deviate by the same amount.
             apart = [f"{value - values[0]!r} + " * (value != values[0]) for value in values[1:]]
             names = [part.path for part in parts[1:]]
             ties |= _followers(path, parts[0].path, dict(zip(names, apart, strict=True)))

@@ -1,8 +1,8 @@
-"""A fit where it ended, to be asked again: its problem, its noise, and its compiled programs.
+"""Evaluation and repetition of a fit at its optimum, with its problem, noise and programs.
 
-What takes many fits of the same data (profiles, repetitions, runs left out) begins at the optimum
-and uses the programs that the fit was computed by: what is held, what was recorded and where it
-starts are numbers of them, so that nothing is compiled again.
+Studies that require many fits of the same data (profiles, repetitions, omitted runs) begin at the
+optimum and use the compiled programs of the fit. Held values, recorded values and initial values
+are arguments of these programs, so nothing is compiled again.
 """
 
 import dataclasses
@@ -40,13 +40,15 @@ MOST_STEPS = 50
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """The problem at some values of its free parameters.
+    """Problem evaluated at given values of its free parameters.
 
     Attributes:
-        cost: half the sum of the loss, in units of the noise; infinite where the model fails.
-        residual: whitened, transformed by the loss, those of priors last, shape (residual,).
-        jacobian: of the residual by the parameters themselves.
-        predictions: of each run, by channel, SI.
+        cost: half the sum of the losses of the residuals divided by the noise, infinite where the
+            model fails.
+        residual: residuals, whitened and transformed by the loss, with those of the priors last,
+            shape (residual,).
+        jacobian: Jacobian of the residual with respect to the parameters themselves.
+        predictions: predictions for each run, by channel, SI units.
     """
 
     cost: float
@@ -57,76 +59,77 @@ class Point:
 
 @dataclasses.dataclass(frozen=True)
 class Optimum:
-    """Where a fit ended, with the noise that it was fitted with; made by `optimum`.
+    """Point where a fit ended, with the noise of the fit. `optimum` creates it.
 
-    Free parameters are those of the model, one value or one for each group of runs, and those of
-    single runs, in the order of `labels`.
+    The free parameters are those of the model, with one value or one for each group of runs, and
+    those of single runs, in the order of `labels`.
 
     Attributes:
-        state: evaluated there.
+        state: evaluated state at this point.
     """
 
     state: FitState
 
     @functools.cached_property
     def labels(self) -> tuple[str, ...]:
-        """Names of all free parameters, those of single runs with the run."""
+        """Names of all free parameters. Those of single runs include the name of the run."""
         return tuple(labels(self.state.problem, self.state.setup.runs))
 
     @functools.cached_property
     def statistics(self) -> Statistics:
-        """Standard errors and correlations there."""
+        """Standard errors and correlations at the optimum."""
         return statistics(self.state)
 
     @property
     def values(self) -> np.ndarray:
-        """Of all free parameters, SI, shape (parameter,)."""
+        """Values of all free parameters, SI units, shape (parameter,)."""
         return self.state.values()
 
     @property
     def cost(self) -> float:
-        """Half the sum of the loss, in units of the noise."""
+        """Half the sum of the losses of the residuals, which are divided by the noise."""
         return self.state.cost
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of all free parameters, infinite where there is none."""
+        """Lower and upper bounds of all free parameters, infinite if there is none."""
         bijector = self.state.problem.bijector
         return np.asarray(bijector.lower), np.asarray(bijector.upper)
 
     @property
     def predictions(self) -> list[dict[str, np.ndarray]]:
-        """Of each run, by channel, SI."""
+        """Predictions for each run, by channel, SI units."""
         state = self.state
         return predictions_by_run(state.problem, state.inner.aux, state.setup.runs)
 
     def position(self, label: str) -> int:
-        """Where a free parameter stands.
+        """Return the position of a free parameter.
 
         Raises:
-            InputError: there is no such name.
+            InputError: no free parameter has this name.
         """
         if label not in self.labels:
             raise InputError(f"'{label}' was not free in this fit: use one of {self.labels}")
         return self.labels.index(label)
 
     def model(self, values: np.ndarray) -> AbstractModel:
-        """The model at some values, shape (parameter,); of several of a path, their mean."""
+        """Return the model at values of shape (parameter,). Values of one path are averaged."""
         problem = self.state.problem
         return problem.with_values(problem.means(np.asarray(values)[: problem.shared]))
 
     def derived(self, name: str) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
-        """A derived quantity, or a tied parameter, by its name in `FitResult.derived`.
+        """Return a derived quantity or a tied parameter by its name in `FitResult.derived`.
 
-        Its value and its gradient as a function of the values of all free parameters.
+        It is returned as a function of the values of all free parameters, which gives its value and
+        its gradient.
 
         Raises:
-            InputError: there is no such name.
+            InputError: no derived quantity has this name.
         """
         return derived_quantity(self.state.problem, self.values, name)
 
     def at(self, values: np.ndarray) -> Point:
-        """Cost, residual and Jacobian at some values within the bounds, shape (parameter,)."""
+        """Return cost, residual and Jacobian at values within the bounds, shape (parameter,)."""
         bijector = self.state.problem.bijector
         coordinate = bijector.inverse(np.clip(values, *self.bounds))
         inner = evaluate(self.state, coordinate)
@@ -146,17 +149,19 @@ class Optimum:
         centres: Float[np.ndarray, " prior"] | None = None,
         max_iterations: int = MOST_STEPS,
     ) -> Refit:
-        """Fit again, with the noise as it is; an end that did not converge says why.
+        """Fit again with the noise unchanged. The result contains the reason for its end.
 
         Arguments:
-            held: values, SI, of parameters that do not move, by label.
-            start: of all free parameters, SI, shape (parameter,); by default the optimum.
-            recorded: in place of the values that the runs have.
-            centres: of the priors, in place of theirs; of a logarithmic one the logarithm.
-            max_iterations: trial steps.
+            held: values of held parameters, SI units, by label.
+            start: initial values of all free parameters, SI units, shape (parameter,). The default
+                is the optimum.
+            recorded: recorded values that replace those of the runs.
+            centres: centres that replace those of the priors. For a logarithmic prior, the
+                logarithm.
+            max_iterations: maximum number of trial steps.
 
         Raises:
-            InputError: a label in `held` that there is not, or a value beyond its bounds.
+            InputError: an unknown label in `held`, or a value outside its bounds.
         """
         state, (lower, upper) = self.state, self.bounds
         values = np.array(self.values if start is None else start, dtype=float)
@@ -194,12 +199,12 @@ class Optimum:
 
 
 def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
-    """The optimum of a fit, without fitting it again.
+    """Return the optimum of a fit, without fitting again.
 
     Arguments:
-        setup: what was fitted to what; its model has the fitted values and the tolerance that was
-            used, and `own` those of single runs.
-        records: of its runs, with the noise that was used.
+        setup: setup of the fit. Its model has the fitted values and the tolerance of the fit, and
+            `own` has the values of single runs.
+        records: records of its runs, with the noise of the fit.
 
     Raises:
         InputError: the model cannot be evaluated there.
@@ -213,7 +218,7 @@ def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
     noise = dataclasses.replace(noise, estimated=not noise.complete)
     state = _evaluated(begun, noise)
     if not setup.loss.is_linear and noise.correlated:
-        # The weights of cells are not kept: they follow from the residuals.
+        # The weights of cells are not stored, because they follow from the residuals.
         weights = reestimate(state).weights
         if weights is not None:
             state = _evaluated(begun, dataclasses.replace(noise, weights=weights))
@@ -223,20 +228,21 @@ def optimum(setup: Setup, records: Sequence[RunFit]) -> Optimum:
 def _evaluated(begun: FitState, noise: Noise) -> FitState:
     state = step(reweight(begun, noise))
     if not state.evaluated:
-        raise InputError("the model cannot be evaluated where the fit ended")
+        raise InputError("the model cannot be evaluated at the point where the fit ended")
     return with_active(state, responds(state.natural_jacobian.norms(), state.sizes))
 
 
-# Of scaled columns: eigenvalues below this, of the largest, are directions that nothing shows.
+# Eigenvalues below this fraction of the largest, for scaled columns, belong to directions without
+# any response.
 _FLAT = 1e-10
-_LOOSE = 0.01  # part of a parameter in such a direction from which it is not determined
+_LOOSE = 0.01  # component of a parameter in such a direction above which it is not determined
 
 
 @dataclasses.dataclass(frozen=True)
 class Equations:
-    """A x = -b, of the step x of some parameters that makes the cost least, to first order.
+    """Linear equations A x = -b of the step x that minimises the cost to first order.
 
-    The matrix A is the curvature of the cost, b its gradient.
+    The matrix A is the curvature of the cost, and b is its gradient.
     """
 
     matrix: Float[np.ndarray, "parameter parameter"]
@@ -246,7 +252,10 @@ class Equations:
         return Equations(self.matrix + other.matrix, self.gradient + other.gradient)
 
     def step(self) -> tuple[np.ndarray, np.ndarray]:
-        """The step, and the roots of the diagonal of A^-1; NaN of what is not determined."""
+        """Return the step and the square roots of the diagonal of A^-1.
+
+        Parameters that are not determined have NaN.
+        """
         sizes = np.sqrt(np.maximum(np.diag(self.matrix), 0.0))
         sizes = np.where(sizes > 0, sizes, np.inf)
         values, vectors = np.linalg.eigh(self.matrix / np.outer(sizes, sizes))
@@ -260,14 +269,16 @@ class Equations:
 
 @dataclasses.dataclass(frozen=True)
 class CellEquations:
-    """What the cells of a fit say of its parameters, by the noise and the weights that it has.
+    """Information of the cells of a fit on its parameters, with the noise and weights of the fit.
 
     Attributes:
-        positions: of the parameters: those that respond and are at no bound.
-        cells: of each channel, by the position of the run and its name, with their derivatives.
-        rows: of all samples of a run, which were measured, likewise.
-        loss: that is left where weights of cells do not stand for it.
-        priors: what is known beforehand.
+        positions: positions of the parameters that affect a channel and are not at a bound.
+        cells: cells of each channel with their derivatives, by the position of the run and the name
+            of the channel.
+        rows: which samples of a run were measured, by the same keys.
+        noise: noise of the channels, by key.
+        loss: remaining loss, unless weights of cells replace it.
+        priors: equations of the priors.
     """
 
     positions: tuple[int, ...]
@@ -279,7 +290,7 @@ class CellEquations:
 
     @classmethod
     def of(cls, optimum: Optimum) -> "CellEquations":
-        """The equations of a fit where it ended."""
+        """Return the equations of a fit at its end."""
         state, statistics = optimum.state, optimum.statistics
         at = [int(i) for i in statistics.alive if int(i) not in statistics.bounds]
         slope = state.problem.bijector.slope(np.asarray(state.coordinate))
@@ -301,7 +312,7 @@ class CellEquations:
     def said(
         self, run: int, name: str, kept: Bool[np.ndarray, " sample"] | None = None
     ) -> Equations:
-        """What the cells of a channel, or those of kept samples, say: A and b, made independent."""
+        """Return A and b of the cells of a channel, or of some samples, after whitening."""
         cells = self.cells[run, name]
         if kept is not None:
             cells = cells.where(kept[self.rows[run, name]])
@@ -315,5 +326,5 @@ class CellEquations:
         return Equations(columns.T @ (columns * curvature[:, None]), columns.T @ psi)
 
     def whole(self, said: Sequence[Equations]) -> Equations:
-        """What these say together with what is known beforehand."""
+        """Return the sum of these equations and those of the priors."""
         return sum(said, self.priors)

@@ -20,10 +20,11 @@ from ._weights import Noise, Priors, Whitening
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Stack pytrees, repeating last rows where the first axes differ (see `prepare`)."""
+    """Stack pytrees. Last rows are repeated if the first axes have different lengths."""
 
     def stack(*leaves: Array) -> Array:
-        # By numpy: each shape would be a program of its own, compiled before the fit begins.
+        # NumPy is used, because with JAX each shape would be a program to compile before the fit
+        # begins.
         rows = [np.asarray(leaf) for leaf in leaves]
         length = max(row.shape[0] if row.ndim else 0 for row in rows)
         padded = [
@@ -38,13 +39,13 @@ def stacked(trees: Sequence[Any]) -> Any:
 
 
 Own = tuple[tuple[str, int], ...]
-"""Paths and sizes of the prepared inputs' parameters that are free in each run."""
+"""Paths and sizes of the prepared inputs that are free parameters in each run."""
 
 
 def batch_members(
     model: AbstractModel, runs: Sequence[Run], prepared: Sequence[Any]
 ) -> list[tuple[tuple[str, ...], Own, list[int]]]:
-    """Positions of the runs that share a program, with the channels and what is free in each."""
+    """Return the positions of runs that share a program, with their channels and own parameters."""
     members: dict[Any, list[int]] = {}
     for index, (run, inputs) in enumerate(zip(runs, prepared, strict=True)):
         free = capabilities.free_inputs(model, run)
@@ -55,22 +56,23 @@ def batch_members(
 
 
 def chunk_size(count: int) -> int:
-    """How many of some runs that share a program a core takes at once.
+    """Return the number of runs, of those that share a program, that a core evaluates at once.
 
-    Several of many, because to begin costs half a millisecond; a divisor, so that none is left
-    over; few, so that no core waits for another's last ones: there are at least 16 shares, or as
-    many as runs. It does not depend on the machine, so that programs are the same everywhere.
+    It is larger than one for many runs, because each start takes half a millisecond. It is a
+    divisor, so no run is left over. It is small, so no core waits for another at the end: there are
+    at least 16 shares, or as many as runs. It does not depend on the machine, so programs are the
+    same everywhere.
     """
     return next(n for n in (4, 3, 2, 1) if n == 1 or (count % n == 0 and count >= 16 * n))
 
 
 def sample_size(count: int) -> int:
-    """How many of some runs that share a program say whether its derivatives are right."""
+    """Return the number of runs of a program that are used to check its derivatives."""
     return min(4, max(1, count // 8))
 
 
 def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> Any:
-    """A prepared run with values of what is free in it alone, by label (`initial.angle[0]`)."""
+    """Prepare a run with given values of its own free parameters, by label (`initial.angle[0]`)."""
     inputs = model.prepare(run)
     for path in capabilities.free_inputs(model, run):
         values = np.array(get(inputs, path), dtype=float)
@@ -81,7 +83,7 @@ def prepared_with(model: AbstractModel, run: Run, own: Mapping[str, float]) -> A
 
 
 Recorded = Sequence[Mapping[str, np.ndarray]]
-"""Of each run, values by channel, SI; NaN where a cell does not count."""
+"""For each run, the values by channel in SI units, with NaN where a cell is not used."""
 
 
 def recorded_cells(
@@ -91,7 +93,7 @@ def recorded_cells(
     channels: Sequence[str],
     recorded: Recorded,
 ) -> dict[str, Any]:
-    """What of a batch of runs depends on their values and noise, padded to the longest."""
+    """Return the recorded cells, weights and whitening of a batch, padded to the longest run."""
     observed = [np.stack([recorded[i][c] for c in channels], -1) for i in indices]
     weight = [
         np.where(
@@ -109,7 +111,7 @@ def recorded_cells(
 
 
 def _root_weights(noise: Noise, run: Run, index: int, channels: Sequence[str]) -> np.ndarray:
-    """Roots of the cells' weights, where no whitening has them: in a run without time."""
+    """Return the roots of the weights of cells in a run without times, which has no whitening."""
     if noise.weights is None or run.times is not None:
         return np.ones(())
     return np.sqrt(np.stack([noise.weights[index][name] for name in channels], axis=-1))
@@ -123,7 +125,7 @@ def _whitening(
     length: int,
     recorded: Recorded,
 ) -> Whitening | None:
-    """That of the runs of a batch, stacked; None where noise is white for sure."""
+    """Return the stacked whitening of the runs of a batch, or None if all noise is white."""
     if not noise.correlated:
         return None
     parts = []
@@ -151,14 +153,15 @@ class RunBatch(eqx.Module):
     """Runs with the same channels, stacked along a first axis so that they share a program.
 
     Attributes:
-        inputs: what the model prepared, each leaf with a leading run axis.
+        inputs: inputs that the model prepared. Each leaf has a leading run axis.
         observed: recorded values, 0 where not measured.
         weight: 1 / standard deviation, 0 where not measured.
-        whitening: of correlated noise; None where there can be none.
-        members: positions of the runs in the list that was fitted.
-        own: as of `batch_members`.
-        first: position of the first of them in the free coordinate.
-        shared: by run, the position of its value of each of the model's free parameters.
+        whitening: whitening of correlated noise, or None if the noise cannot be correlated.
+        channels: names of the channels.
+        members: positions of the runs in the list of fitted runs.
+        own: paths and sizes as in `batch_members`.
+        first: position of the first own parameter of these runs in the free coordinate.
+        shared: for each run, the positions of its values of the model's free parameters.
     """
 
     inputs: Any
@@ -177,16 +180,16 @@ class RunBatch(eqx.Module):
         return sum(size for _, size in self.own)
 
     def own_columns(self) -> np.ndarray:
-        """Positions of each run's own coordinates in the whole, shape (run, own)."""
+        """Return the positions of each run's own coordinates, shape (run, own)."""
         count = len(self.members) * self.width
         return self.first + np.arange(count).reshape(len(self.members), self.width)
 
     def columns(self) -> np.ndarray:
-        """Positions in the whole of all that each run responds to, shape (run, shared + own)."""
+        """Return the positions of coordinates that affect each run, shape (run, shared + own)."""
         return np.concatenate([np.asarray(self.shared, dtype=int), self.own_columns()], axis=1)
 
     def own_labels(self) -> list[str]:
-        """Names of the coordinates that belong to one run, element by element."""
+        """Return the names of the coordinates that belong to one run, by element."""
         return [label for path, size in self.own for label in element_labels(path, size)]
 
 
@@ -195,7 +198,8 @@ def build_batches(
 ) -> tuple[RunBatch, ...]:
     """Prepare runs and stack those with the same channels, padded to the longest of them.
 
-    The batches are in the order of their first runs; the layout is of the model's own parameters.
+    The batches are in the order of their first runs. The layout contains the parameters of the
+    model.
     """
     prepared = [model.prepare(run) for run in runs]
     batches = []
@@ -219,7 +223,7 @@ def build_batches(
 def with_recorded(
     batches: Sequence[RunBatch], runs: Sequence[Run], noise: Noise, recorded: Recorded
 ) -> tuple[RunBatch, ...]:
-    """Batches with other values or another noise; what was prepared of the runs stays."""
+    """Return batches with different values or noise. The prepared inputs of the runs stay."""
     return tuple(
         dataclasses.replace(
             batch, **recorded_cells(runs, noise, batch.members, batch.channels, recorded)
@@ -231,7 +235,7 @@ def with_recorded(
 def own_start(
     batches: Sequence[RunBatch], runs: Sequence[Run], begun: Mapping[str, Mapping[str, float]]
 ) -> np.ndarray:
-    """Where the coordinates of the single runs start: as prepared, where they are not `begun`."""
+    """Return the initial coordinates of single runs: as prepared, unless `begun` has a value."""
     values: list[float] = []
     for batch in batches:
         for row, member in enumerate(batch.members):
@@ -244,23 +248,23 @@ def own_start(
 
 
 class Problem(eqx.Module):
-    """Everything that the residual depends on, apart from the free coordinates.
+    """All quantities on which the residual depends, except the free coordinates.
 
-    The coordinate begins with the values of the model's parameters, one each that all runs share
-    or one for each group of runs; then come those of each run alone, which have no bounds. A run
-    responds to its values of the former and to its own: the Jacobian is computed and stored in
-    these blocks.
+    The coordinate begins with the values of the model's parameters: one value that all runs share,
+    or one for each group of runs. The parameters of single runs follow, which have no bounds. A run
+    depends on its values of the model's parameters and on its own parameters. The Jacobian is
+    computed and stored in the corresponding blocks.
 
     Attributes:
-        model: with what is not free.
-        batches: of runs that share a program.
-        bijector: of the whole coordinate.
-        paths: of the model's free parameters.
-        loss: how a large residual counts.
-        places: positions of each path's values in the coordinate; one each, in their order, where
-            it is empty.
-        ties: parameters that follow from others.
-        priors: what is known of the coordinates before; their rows of the residual come last.
+        model: model with the held parameters.
+        batches: batches of runs that share a program.
+        bijector: map of the whole coordinate to parameters.
+        paths: paths of the model's free parameters.
+        loss: loss function, which weights large residuals.
+        places: positions of the values of each path in the coordinate. If empty, each path has one
+            value, in order.
+        ties: parameters that are computed from others.
+        priors: priors of the coordinates. Their rows of the residual come last.
     """
 
     model: AbstractModel
@@ -279,7 +283,7 @@ class Problem(eqx.Module):
 
     @property
     def positions(self) -> tuple[tuple[int, ...], ...]:
-        """Positions of each path's values in the coordinate."""
+        """Positions of the values of each path in the coordinate."""
         return self.places or tuple((index,) for index in range(len(self.paths)))
 
     @property
@@ -288,33 +292,33 @@ class Problem(eqx.Module):
         return sum(map(len, self.positions))
 
     def at(self, coordinate: Float[Array, " own"]) -> AbstractModel:
-        """The model at the coordinates of a run, of which one a path counts."""
+        """Return the model at the coordinates of a run, with one coordinate for each path."""
         bounds = self.bijector.at([place[0] for place in self.positions])
         return self.with_values(bounds.forward(coordinate[: len(self.paths)]))
 
     def with_values(self, values: Float[Array | np.ndarray, " path"]) -> AbstractModel:
-        """The model with a value for each path, and with what follows from them."""
+        """Return the model with a value for each path, and with the tied parameters updated."""
         model = replace(self.model, {path: values[i] for i, path in enumerate(self.paths)})
         return tied(model, self.ties)
 
     def means(self, values: Array | np.ndarray) -> Array | np.ndarray:
-        """A value for each path, of those of all coordinates: of several, the mean."""
+        """Return a value for each path from all coordinates. Several values are averaged."""
         means = [values[np.asarray(place)].mean() for place in self.positions]
         if isinstance(values, np.ndarray):
             return np.asarray(means)
         return jnp.stack(means) if means else jnp.zeros(0)
 
     def free_paths(self, batch: RunBatch) -> tuple[str, ...]:
-        """Paths of all that the predictions of a batch's runs are differentiated by."""
+        """Return all paths with respect to which the predictions of a batch are differentiated."""
         following = (tie.path for tie in self.ties)
         return (*self.paths, *following, *(path for path, _ in batch.own))
 
 
 class Prediction(eqx.Module):
-    """What comes out beside the residual.
+    """Auxiliary output of the residual.
 
     Attributes:
-        channels: predictions of each batch (SI), shape (run, sample, channel).
+        channels: predictions of each batch, SI units, shape (run, sample, channel).
         successful: whether all simulations succeeded.
     """
 
@@ -325,7 +329,7 @@ class Prediction(eqx.Module):
 def predictions_by_run(
     problem: Problem, prediction: Prediction, runs: Sequence[Run]
 ) -> list[dict[str, np.ndarray]]:
-    """Predicted channels (SI) of each run, without the padding."""
+    """Return the predicted channels (SI units) of each run, without the padding."""
     by_run: list[dict[str, np.ndarray]] = [{} for _ in runs]
     for batch, predicted in zip(problem.batches, prediction.channels, strict=True):
         table = np.asarray(predicted)
@@ -343,7 +347,7 @@ def run_residual(
     batch: RunBatch,
     run: tuple[Any, ...],
 ) -> tuple[Float[Array, " residual"], tuple[Array, Array]]:
-    """Residual of one run, not whitened; beside it its prediction and whether that succeeded."""
+    """Return the residual of one run before whitening, its prediction and its success."""
     inputs, observed, weight, _ = run
     count = len(problem.paths)
     inputs = _with_own(inputs, batch, shared_and_own[count:])
@@ -351,16 +355,16 @@ def run_residual(
     predicted, successful = model.predict(inputs, batch.channels)
     table = jnp.stack([predicted[name] for name in batch.channels], axis=-1)
     if problem.ties:
-        # A step that leads a tied parameter beyond its bounds is rejected.
+        # A step that moves a tied parameter outside its bounds is rejected.
         successful = successful & within_bounds(model, problem.ties)
         table = jnp.where(successful, table, jnp.nan)
-    # An unmeasured cell must not carry the NaN of a failed simulation times zero.
+    # An unmeasured cell must not receive NaN, from a failed simulation times zero.
     difference = jnp.where(weight > 0, (table - observed) * weight, 0)
     return problem.loss.transform(difference.ravel()), (table, successful)
 
 
 def whitened(columns: Float[Array, "residual column"], whitening: Whitening | None) -> Array:
-    """Residuals of a run, or columns of their Jacobian, made independent of each other."""
+    """Whiten the residuals of a run, or columns of their Jacobian."""
     return columns if whitening is None else whitening.apply(columns)
 
 
@@ -376,9 +380,10 @@ def _with_own(inputs: Any, batch: RunBatch, values: Float[Array, " own"]) -> Any
 def residual(
     coordinate: Float[Array, " parameter"], problem: Problem
 ) -> tuple[Float[Array, " residual"], Prediction]:
-    """Transformed weighted residuals of all runs in one row, those of the priors last; predictions.
+    """Return the transformed weighted residuals of all runs as one row, and the predictions.
 
-    A module-level function: a fresh closure would be compiled again for every fit.
+    The residuals of the priors come last. The function is at module level, because a new closure
+    would be compiled again for every fit.
     """
     return joined(over_runs(whitened_run, coordinate, problem), coordinate, problem)
 
@@ -386,7 +391,7 @@ def residual(
 def whitened_run(
     values: Array, problem: Problem, batch: RunBatch, run: tuple[Any, ...]
 ) -> tuple[Array, ...]:
-    """A run's residual, its prediction, and whether that succeeded; as `over_batch` calls it."""
+    """Return the whitened residual of a run, its prediction and its success, for `over_batch`."""
     row, (table, successful) = run_residual(values, problem, batch, run)
     return whitened(row[:, None], run[-1])[:, 0], table, successful
 
@@ -394,7 +399,7 @@ def whitened_run(
 def joined(
     parts: Sequence[tuple[Any, ...]], coordinate: Array, problem: Problem
 ) -> tuple[Float[Array, " residual"], Prediction]:
-    """As `residual`, from what `whitened_run` gives of each batch, with a leading run axis."""
+    """Join the results of `whitened_run` for each batch (leading run axis) as in `residual`."""
     rows, tables, successes = zip(*parts, strict=True)
     known, _ = problem.priors.rows(coordinate, problem.bijector)
     row = jnp.concatenate([*(part.ravel() for part in rows), known])
@@ -404,7 +409,7 @@ def joined(
 def over_runs(
     one: Callable[..., tuple[Array, ...]], coordinate: Array, problem: Problem
 ) -> list[tuple[Array, ...]]:
-    """Results of `one` for each batch, with a leading run axis."""
+    """Return the results of `one` for each batch, with a leading run axis."""
     return [over_batch(one, coordinate[g.columns()], g, problem) for g in problem.batches]
 
 
@@ -414,9 +419,9 @@ def over_batch(
     batch: RunBatch,
     problem: Problem,
 ) -> tuple[Array, ...]:
-    """Results of `whitened_run`, or its like, for a batch, with a leading run axis.
+    """Return the results of a function such as `whitened_run` for a batch.
 
-    The batches of the problem itself do not count.
+    The results have a leading run axis. The batches of the problem itself are not used.
     """
     rows = (values, batch.inputs, batch.observed, batch.weight, batch.whitening)
 
@@ -426,5 +431,6 @@ def over_batch(
     if values.shape[0] == 1:
         result = each(jax.tree.map(lambda leaf: leaf[0], rows))
         return tuple(leaf[None] for leaf in result)
-    # One run after the other: each keeps its own steps; the program is compiled once.
+    # The runs are evaluated one after the other, because each has its own steps. The program is
+    # compiled once.
     return tuple(jax.lax.map(each, rows))

@@ -1,7 +1,7 @@
-"""What a result is made of: small frozen records, each of which JSON gives back.
+"""Records of a result: small frozen data classes that can be restored from JSON.
 
-Field by field they are the objects of `result.json`, as `giajax.runtime.records` writes and reads
-them.
+Their fields are those of the objects in `result.json`, which `giajax.runtime.records` writes and
+reads.
 """
 
 import dataclasses
@@ -37,36 +37,38 @@ SuspectKind = Literal[
 
 @dataclasses.dataclass(frozen=True)
 class Suspect:
-    """One test of something that a fit held, switched off or left out.
+    """Test of an effect that a fit held, disabled or omitted.
 
     Attributes:
-        path: of the parameter, such as `camera.delay` or `air.wind[2]`; of a group that of its
-            elements; of a switch or of axes what is changed.
-        kind: "parameter"; "factor", of an array whose elements change in proportion; "group",
-            several elements together; "switch", a choice of the model; "axes", of the recording;
-            "columns", their names, units and signs;
-            "points" that are exchanged, lost or taken for others in it;
-            "outliers", whose estimate is their share of all cells; "prior", a free parameter
-            without what is known of it (`giajax explain` alone).
-        unit: SI unit of the estimate; "" for a factor and for a switch, whose estimate is the
-            share, from 0 to 1, of the change that it would make.
-        value: what the fit held; a list for a group, None for axes.
-        estimate: what one step from the fit leads to, within the bounds; likewise.
-        estimate_error: its standard error; likewise, and None where it is not testable.
-        chi_square_drop: by how much that would lower the sum of squared residuals, in units of
-            the noise; None where it is not testable.
-        degrees_of_freedom: of the test.
-        p_value: of the test, corrected for how many were asked; None where it is not testable.
-        testable: whether the data would show it, beside what the fit moved.
-        alike: paths of other suspects that the data can hardly tell from this one.
-        together: paths of up to three others in whose presence little of it is left: a group that
-            the data tell as one.
-        explained_by: the suspect that it is in the group of, or that leaves little of it.
-        note: why it is not testable, or what a reader must know; may be empty.
-        moves: by how many of their standard errors the step moves fitted parameters, by path; of
-            parameters that are significant; nothing where it was tested where the fit began.
-        begun: whether it was tested with the initial values of the fit, because those where
-            it ended may have gone astray.
+        path: path of the parameter, such as `camera.delay` or `air.wind[2]`. For a group, the paths
+            of its elements. For a switch or for axes, the change.
+        kind: "parameter"; "factor", an array whose elements change in proportion; "group", several
+            elements together; "switch", a choice of the model; "axes", axes of the recording;
+            "columns", names, units and signs of its columns; "points", points in it that are
+            exchanged, lost or mistaken for others; "outliers", whose estimate is their fraction of
+            all cells; "prior", a free parameter without its prior (only in `giajax explain`).
+        unit: SI unit of the estimate. It is "" for a factor, and for a switch, whose estimate is
+            the fraction, from 0 to 1, of the change that it would make.
+        value: value that the fit held: a list for a group, None for axes.
+        estimate: value after one step from the fit, within the bounds, in the same form.
+        estimate_error: standard error of the estimate, in the same form, or None if it is not
+            testable.
+        chi_square_drop: decrease of the sum of squared residuals, divided by the noise variance, or
+            None if it is not testable.
+        degrees_of_freedom: degrees of freedom of the test.
+        p_value: p-value of the test, corrected for the number of tests, or None if it is not
+            testable.
+        testable: whether the data would show the effect in addition to the fitted parameters.
+        alike: paths of other suspects that the data can hardly distinguish from this one.
+        together: paths of up to three other suspects whose inclusion leaves little of this effect:
+            the data show them as one group.
+        explained_by: suspect to whose group it belongs, or whose inclusion leaves little of it.
+        note: reason why it is not testable, or another remark. It may be empty.
+        moves: shifts of fitted parameters due to the step, in their standard errors, by path. Only
+            parameters with significant values are included, and none if the test was made at the
+            beginning of the fit.
+        begun: whether the test was made at the initial values of the fit, because the final values
+            may be wrong.
     """
 
     path: str
@@ -89,17 +91,17 @@ class Suspect:
 
 @dataclasses.dataclass(frozen=True)
 class SystematicError:
-    """What one held number does to the fitted ones.
+    """Effect of the uncertainty of one held value on the fitted parameters.
 
     Attributes:
-        path: of the held parameter.
-        unit: its SI unit.
-        value: what it is held at; a list where its elements differ.
-        uncertainty: its standard deviation, as stated, or 1 % of it; of elements that differ, a
-            fraction of each.
-        stated: whether it was stated.
-        shifts: what that does to each fitted parameter, SI, by path.
-        decides: paths of the parameters that it moves by more than a standard error.
+        path: path of the held parameter.
+        unit: SI unit of the held parameter.
+        value: held value, or a list if its elements differ.
+        uncertainty: standard deviation of the held value as specified, or 1 % of it. If its
+            elements differ, it is a fraction of each.
+        stated: whether the standard deviation was specified.
+        shifts: resulting shift of each fitted parameter, SI units, by path.
+        decides: paths of the parameters that shift by more than a standard error.
     """
 
     path: str
@@ -116,17 +118,18 @@ Status = Literal["converged", "not_converged", "interrupted"]
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:
-    """What `progress` hears of after each trial step.
+    """Report to `progress` after each trial step.
 
     Attributes:
-        number: 0 for the evaluation of the start.
-        cost: half the sum of the loss, at the best point so far, of the rows that count: of a free
-            motion that swings and a start far off these are the first ones for a while.
-        step: largest change of a free coordinate that was tried: relative for a positive
-            parameter, in its own unit for one without bounds.
-        accepted: whether the trial point became the best one.
+        number: number of the step, 0 for the evaluation of the initial guess.
+        cost: half the sum of the losses at the best point so far. Only the rows in use are
+            included: for a free oscillation with a poor initial guess, these are the first rows for
+            some steps.
+        step: largest attempted change of a free coordinate, which is relative for a positive
+            parameter, and in its own unit for a parameter without bounds.
+        accepted: whether the trial point became the best point.
         parameters: values of the free parameters at the best point, by path.
-        part: of the rows, from the first, that count.
+        part: fraction of the rows in use, counted from the first.
     """
 
     number: int
@@ -139,26 +142,27 @@ class Iteration:
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """One parameter of a result.
+    """Estimate of one parameter in a result.
 
     Attributes:
-        value: fitted, or held; a list for an array that was not fitted element by element.
-        standard_error: one standard deviation, in the unit of the value; None if there is none.
+        value: fitted or held value, or a list for an array that was not fitted by element.
+        standard_error: standard error, in the unit of the value, or None.
         unit: SI unit.
-        lower, upper: bounds; None where there is none.
-        free: whether the fit was allowed to move it.
-        remark: what a reader must know before using the value; may be empty.
-        interval: where the value is by 95 %, by Student's t, within the bounds; None without a
+        lower, upper: bounds, None if there is none.
+        free: whether the fit could change the value.
+        remark: remark for the reader, which may be empty.
+        interval: 95 % interval of the value, from Student's t, within the bounds, or None without a
             standard error.
-        freedom: degrees of freedom of it; None where they are infinite.
-        sandwich_error: standard error that does not trust the noise model (Newey and West); None
-            where there is none.
-        prior_share: how much of what is known of it is its prior's, from 0 to 1: the variance of
-            the estimate over that of the prior; None without a prior.
-        sources: by recording, how many times larger the standard error would be without it, to
-            first order; None where the parameter would not be determined. Empty for one recording.
-        noise_error: what the standard error would be if the nuisances of the fit were known, which
-            is the noise's part; None where it has none.
+        freedom: degrees of freedom of the interval, None if they are infinite.
+        sandwich_error: standard error that does not assume the noise model (Newey and West), or
+            None.
+        prior_share: share of the prior in the information on the parameter, from 0 to 1: variance
+            of the estimate divided by the variance of the prior. None without a prior.
+        sources: for each recording, the factor by which the standard error would be larger without
+            it, to first order. None if the parameter would not be determined. Empty for one
+            recording.
+        noise_error: standard error if the nuisance parameters were known, that is, the part due to
+            noise, or None.
     """
 
     value: Numbers
@@ -177,7 +181,7 @@ class Estimate:
 
     @property
     def nuisance_error(self) -> float | None:
-        """The part of the standard error that comes from the nuisances of the fit."""
+        """Part of the standard error due to the nuisance parameters of the fit."""
         if self.standard_error is None or self.noise_error is None:
             return None
         return math.sqrt(max(self.standard_error**2 - self.noise_error**2, 0.0))
@@ -189,7 +193,8 @@ class Correlation:
 
     Attributes:
         parameters: paths of the free parameters that the data determine.
-        matrix: its rows; None from a file where a correlation is not finite.
+        matrix: rows of the correlation matrix. A correlation that is not finite is None after
+            reading from a file.
     """
 
     parameters: tuple[str, ...] = ()
@@ -203,15 +208,15 @@ class Correlation:
 
 @dataclasses.dataclass(frozen=True)
 class GradientCheck:
-    """Derivatives by automatic differentiation against central differences, at the optimum.
+    """Comparison of automatic derivatives with finite differences at the optimum.
 
     Attributes:
         relative_difference: norm of the difference between the two derivatives of the residuals
             along one direction, relative to the norm of the derivative.
-        direction: part of each parameter of the model in it, in free coordinates, by path.
-        step: length of the difference along it.
-        left_out: paths of the parameters that take no part, because they ended at a bound or
-            nothing responds to them; of several runs, none of those that were looked at.
+        direction: component of each model parameter in the direction, in free coordinates, by path.
+        step: step of the difference along the direction.
+        left_out: paths of the parameters that are excluded, because they ended at a bound or none
+            of the examined runs depends on them.
     """
 
     relative_difference: float
@@ -222,7 +227,7 @@ class GradientCheck:
 
 @dataclasses.dataclass(frozen=True)
 class Shift:
-    """How far a parameter moves: in its unit, and in its standard errors."""
+    """Shift of a parameter: in its unit, and in its standard errors."""
 
     shift: float | None
     standard_errors: float | None
@@ -230,12 +235,12 @@ class Shift:
 
 @dataclasses.dataclass(frozen=True)
 class ToleranceEffect:
-    """What a finer tolerance of the solver would change, to first order.
+    """First-order effect of a finer solver tolerance.
 
     Attributes:
-        factor: on the tolerance.
-        largest_in_standard_errors: the largest shift of a parameter.
-        by_parameter: all of them, by path.
+        factor: factor on the tolerance.
+        largest_in_standard_errors: largest shift of a parameter, in its standard errors.
+        by_parameter: shift of each parameter, by path.
     """
 
     factor: float
@@ -245,14 +250,14 @@ class ToleranceEffect:
 
 @dataclasses.dataclass(frozen=True)
 class NoiseFit:
-    """What a fit took for noise.
+    """Noise of a fit.
 
     Attributes:
-        model: "correlated" where correlated noise was looked for, or "white".
-        estimated: whether the size of any of it comes from the residuals.
-        widening: standard error over that with white noise of the same size, by path; empty
-            where all noise is white. Where there are trends, it is at least 1.
-        trends: channels whose residuals are correlated over half of a record or more.
+        model: "correlated" if correlated noise was tested for, or "white".
+        estimated: whether any noise was estimated from the residuals.
+        widening: standard error divided by that for white noise of the same size, by path. It is
+            empty if all noise is white, and at least 1 if there are trends.
+        trends: channels whose residuals are correlated over at least half of a record.
     """
 
     model: str
@@ -263,9 +268,9 @@ class NoiseFit:
 
 @dataclasses.dataclass(frozen=True)
 class Seconds:
-    """Wall time of a fit, s: what its programs took to compile or load, and all else.
+    """Wall-clock time of a fit, s: compiling or loading programs, and the rest.
 
-    Of several starts, those of all of them together, also where they ran side by side.
+    For several initial guesses, the times are summed, even if the fits ran in parallel.
     """
 
     compile: float
@@ -274,15 +279,14 @@ class Seconds:
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """One of several starts of a fit, and where it ended.
+    """One of several initial guesses of a fit, and the result from there.
 
     Attributes:
-        start: values of the free parameters, by path.
-        status: of the fit from there, or "failed" where it could not be evaluated.
-        misfit: minus the logarithm of the likelihood, up to a constant; None where nothing was
-            evaluated.
-        parameters: where it ended, by path; likewise.
-        message: why it failed or did not converge; None where it did.
+        start: initial values of the free parameters, by path.
+        status: status of the fit, or "failed" if it could not be evaluated.
+        misfit: negative log-likelihood, up to a constant, or None if nothing was evaluated.
+        parameters: final values by path, or None if nothing was evaluated.
+        message: reason for a failure or for missing convergence, None if it converged.
     """
 
     start: dict[str, float]
@@ -292,14 +296,14 @@ class Start:
     message: str | None = None
 
 
-# A remark that would be squeezed into fewer columns than this goes below its row instead.
+# A remark with fewer columns than this is printed below its row.
 _LEAST_REMARK = 36
 
 _NUMBERS = ("value", "error")
 
 
 class EstimateRow(NamedTuple):
-    """The cells of one estimate; their names are the headings."""
+    """Cells of one estimate. Their names are the headings."""
 
     parameter: str
     value: str
@@ -310,12 +314,12 @@ class EstimateRow(NamedTuple):
 
 
 def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) -> str:
-    """Value, standard error, unit, bounds and remark of each estimate, a line each.
+    """Return a table with value, standard error, unit, bounds and remark of each estimate.
 
     Arguments:
-        estimates: by path.
-        width: columns that there are. Where the remarks do not fit, each goes below its row.
-            Without a width nothing is wrapped: a row is a line, for grep and awk.
+        estimates: estimates by path.
+        width: available columns. If the remarks do not fit, each is printed below its row. Without
+            a width nothing is wrapped, and each row is one line, for grep and awk.
 
     Returns:
         The lines, without a newline at the end.
@@ -340,7 +344,7 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
 
 
 def estimate_rows(estimates: Mapping[str, Estimate]) -> list[EstimateRow]:
-    """The cells of that table."""
+    """Return the cells of the table of estimates."""
     rows = []
     for path, estimate in estimates.items():
         value, error = format_estimate(estimate.value, estimate.standard_error)
@@ -351,7 +355,7 @@ def estimate_rows(estimates: Mapping[str, Estimate]) -> list[EstimateRow]:
 
 @dataclasses.dataclass(frozen=True)
 class OwnEstimate:
-    """What one run has for itself, such as an initial angle, or with its group: as `Estimate`."""
+    """Estimate of a parameter of one run or of its group, such as an initial angle."""
 
     value: float
     standard_error: float | None
@@ -360,19 +364,19 @@ class OwnEstimate:
 
 @dataclasses.dataclass(frozen=True)
 class ChannelFit:
-    """How well one channel of a fitted run is described, in the unit of the recording.
+    """Agreement of one channel of a fitted run, in the unit of the recording.
 
     Attributes:
-        unit: of the recording.
-        rmse: root mean square of recorded minus predicted; None where that is not finite.
+        unit: unit of the recording.
+        rmse: root-mean-square of recorded minus predicted values, or None if it is not finite.
         n: number of measured values.
-        noise: standard deviation of a cell that the values were weighted with.
-        correlated: standard deviation of the correlated part of it.
-        correlation_time_s: of that part, s; 0 where there is none.
-        innovation: deviation of what the cells before do not predict, their geometric mean;
-            None from a file without it.
-        white: deviation of white noise (`giajax.noise.white_deviation`), which suspects,
-            pictures and reports measure residuals by; None from a file without it.
+        noise: standard deviation of a cell with which the values were weighted.
+        correlated: standard deviation of the correlated part of the noise.
+        correlation_time_s: correlation time of that part, s, 0 if there is none.
+        innovation: standard deviation of a cell given the earlier cells, as geometric mean, or None
+            if a file does not contain it.
+        white: standard deviation of white noise (`giajax.noise.white_deviation`) by which suspects,
+            pictures and reports divide residuals, or None if a file does not contain it.
     """
 
     unit: str
@@ -386,26 +390,26 @@ class ChannelFit:
 
     @property
     def compared_noise(self) -> float:
-        """What residuals are measured by: `white`, or `noise` where that is not known."""
+        """Noise by which residuals are divided: `white`, or `noise` if that is unknown."""
         return self.noise if self.white is None else self.white
 
 
 def recorded_noise(channel: Channel, record: ChannelFit) -> ChannelNoise:
-    """The noise that a result says a channel was weighted with, SI."""
+    """Return the noise with which a channel was weighted according to a result, SI units."""
     noise, correlated = channel.to_si([record.noise, record.correlated]).tolist()
     return ChannelNoise.of_cell(noise, correlated, record.correlation_time_s)
 
 
 @dataclasses.dataclass(frozen=True)
 class RunFit:
-    """One fitted run.
+    """Record of one fitted run.
 
     Attributes:
-        name: of the run.
-        path: of its file; None for a run that was made in memory.
+        name: name of the run.
+        path: path of its file, or None for a run that was created in memory.
         sha256: checksum of the file.
-        channels: by name.
-        parameters: what was free in this run alone, or in its group of runs, by path.
+        channels: records of the channels, by name.
+        parameters: estimates of the parameters of this run or of its group of runs, by path.
     """
 
     name: str
@@ -416,18 +420,18 @@ class RunFit:
 
     @property
     def recording(self) -> str:
-        """Name of the recording that it is, or is a window of."""
+        """Name of the recording to which the run belongs as a whole or as a window."""
         return self.name if self.path is None else Path(self.path).stem
 
 
 @dataclasses.dataclass(frozen=True)
 class ChannelErrors:
-    """Errors of prediction of one channel, in the unit of the recording.
+    """Prediction errors of one channel, in the unit of the recording.
 
     Attributes:
-        unit: of the recording.
-        rmse: root mean square error; infinite (None from a file) where the simulation failed.
-        largest: largest absolute error; likewise.
+        unit: unit of the recording.
+        rmse: root-mean-square error, infinite (None in a file) if the simulation failed.
+        largest: largest absolute error, in the same form.
         n: number of measured values.
     """
 
@@ -439,12 +443,12 @@ class ChannelErrors:
 
 @dataclasses.dataclass(frozen=True)
 class PredictionErrors:
-    """How far a prediction is from what a run recorded.
+    """Differences between a prediction and the recording of a run.
 
     Attributes:
-        name: of the run.
-        path: of its file; None for a run that was made in memory.
-        channels: by name.
+        name: name of the run.
+        path: path of its file, or None for a run that was created in memory.
+        channels: errors of the channels, by name.
     """
 
     name: str
@@ -454,19 +458,19 @@ class PredictionErrors:
 
 @dataclasses.dataclass(frozen=True)
 class HeldChannel:
-    """How well what was held out of one channel is predicted, in the unit of the recording.
+    """Prediction of the held-out cells of one channel, in the unit of the recording.
 
-    What these cells alone know, such as the free initial state of a run of which nothing was
-    fitted, is fitted to them.
+    Parameters that only these cells determine, such as the free initial state of a run that was not
+    fitted, are fitted to them.
 
     Attributes:
-        unit: of the recording.
-        rmse: root mean square error of the held-out cells; infinite (None from a file) where the
-            simulation failed; None where Ctrl-C came before.
+        unit: unit of the recording.
+        rmse: root-mean-square error of the held-out cells, infinite (None in a file) if the
+            simulation failed, and None if Ctrl-C was pressed before.
         n: number of these cells.
-        size: how many times as far off they are as noise and the uncertainty of the parameters
-            allow, in the root mean square; infinite likewise. None where there is nothing to judge,
-            because as many parameters are known from these cells alone.
+        size: root-mean-square error, relative to the error expected from noise and the uncertainty
+            of the parameters, infinite if the simulation failed. None if the cells determine as
+            many parameters as there are cells.
     """
 
     unit: str
@@ -477,13 +481,13 @@ class HeldChannel:
 
 @dataclasses.dataclass(frozen=True)
 class HeldOut:
-    """What was held out of one run, and is predicted.
+    """Predicted data that were held out of one run.
 
     Attributes:
-        name: of the run.
-        path: of its file; None for a run that was made in memory.
+        name: name of the run.
+        path: path of its file, or None for a run that was created in memory.
         sha256: checksum of the file.
-        channels: those of which cells were held out, by name.
+        channels: channels with held-out cells, by name.
     """
 
     name: str
@@ -492,11 +496,11 @@ class HeldOut:
     channels: dict[str, HeldChannel]
 
 
-_MANY = 12  # more rows than this are no table to read; `runs[].parameters` has all of them
+_MANY = 12  # maximum number of rows in a table; `runs[].parameters` contains all
 
 
 def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[str, Estimate]:
-    """Estimates of what has a value for each group of runs; none where those are too many."""
+    """Return the estimates for groups of runs, or an empty dict if they are too many."""
     sharing: dict[tuple[str, OwnEstimate], list[str]] = {}
     for run in runs:
         name = run.recording
@@ -520,14 +524,14 @@ def rows_of_runs(runs: Sequence[RunFit], free: Mapping[str, Estimate]) -> dict[s
 def matching_runs(
     records: Sequence[RunFit], runs: Run | Sequence[Run], *, whole: bool = False
 ) -> list[Run]:
-    """The runs of a result, in their order, checked to be those.
+    """Return the runs of a result in order, after checking that they are the same.
 
-    Of runs that were made in memory, and of windows of one file, there is no checksum that
-    distinguishes them: channels, numbers of measured cells and names have to be the same; unless
-    they may be the whole runs, with more than was fitted: what was held out, other channels.
+    Runs that were created in memory, and windows of one file, have no distinguishing checksum. For
+    them, channels, numbers of measured cells and names must be the same. With `whole`, the runs may
+    contain more than was fitted, such as held-out data and other channels.
 
     Raises:
-        InputError: they are others, or in another order.
+        InputError: the runs or their order differ.
     """
     several = [runs] if isinstance(runs, Run) else list(runs)
     seen = [record.sha256 for record in records]
@@ -552,9 +556,12 @@ def layout_of(
     paths: Sequence[str],
     groups: Mapping[str, Sequence[Sequence[str]]],
 ) -> Layout:
-    """Where a value of a parameter is that of one fitted run, of some, or of all of them.
+    """Return which values of the parameters belong to one fitted run, to some or to all runs.
 
-    Groups, names of the runs that share a value, are by the path of a parameter or of its array.
+    Arguments:
+        runs: fitted runs.
+        paths: paths of the parameters.
+        groups: names of the runs that share a value, by the path of a parameter or of its array.
     """
     shared = {path: groups.get(path, groups.get(path.partition("[")[0])) for path in paths}
     return Layout.of(
@@ -567,10 +574,10 @@ def layout_of(
 def model_of_run(
     model: AbstractModel, runs: Sequence[RunFit], run: Run, ties: Mapping[str, str]
 ) -> AbstractModel:
-    """The fitted model with what a fitted run has for itself or with its group; else as it is."""
+    """Return the fitted model with the values of a fitted run or its group, if there are any."""
     for record in runs:
         if (record.name, record.sha256) == (run.name, run.sha256):
-            # What belongs to the state of the run is no parameter of the model.
+            # Parameters of the state of the run do not belong to the model.
             own = {
                 path: estimate.value
                 for path, estimate in record.parameters.items()

@@ -1,4 +1,4 @@
-"""The result of a fit, as data: it can be written, read again, and it predicts."""
+"""Result of a fit as data, which can be stored, loaded and used for predictions."""
 
 import dataclasses
 import importlib
@@ -59,12 +59,12 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class IntegrationFit:
-    """How a fit integrated its model.
+    """Integration of the model in a fit.
 
     Attributes:
         solver: one of `giajax.simulation.SOLVERS`.
-        tolerance: relative and absolute tolerance of a step, where the fit ended.
-        chosen: whether the fit chose the tolerance; otherwise it was stated.
+        tolerance: relative and absolute tolerance of a step at the end of the fit.
+        chosen: whether the fit chose the tolerance. Otherwise it was specified.
     """
 
     solver: str
@@ -73,7 +73,7 @@ class IntegrationFit:
 
 
 def integration_of(state: FitState) -> IntegrationFit | None:
-    """Solver and tolerance in use; None of a model without them."""
+    """Return the solver and the tolerance in use, or None for a model without them."""
     integration = capabilities.integration(state.problem.model)
     if integration is None or integration.tolerance is None:
         return None
@@ -82,19 +82,22 @@ def integration_of(state: FitState) -> IntegrationFit | None:
 
 
 def _drawn(function: str, *arguments: object) -> "Figure":
-    """A picture by the room `report`, which is above this one and so is named in text alone.
+    """Return a picture from the package `report`.
 
-    It is the one room that is bound late, so that a notebook draws what it holds.
+    That package is above this one, so it is imported late and named as text. It is the only package
+    that is imported in this way, so that objects can draw themselves in a notebook.
     """
     figure: Figure = getattr(importlib.import_module("giajax.report"), function)(*arguments)
     return figure
 
 
 class PredictedRun(dict[str, np.ndarray]):
-    """Channels that a model predicts for a run: arrays in SI units of shape (sample,), by name.
+    """Channels that a model predicts for a run.
+
+    The dictionary contains arrays in SI units of shape (sample,), by name.
 
     Attributes:
-        run: the run.
+        run: run for which the channels are predicted.
     """
 
     def __init__(self, run: Run, channels: Mapping[str, np.ndarray]) -> None:
@@ -102,7 +105,7 @@ class PredictedRun(dict[str, np.ndarray]):
         self.run = run
 
     def plot(self) -> "Figure":
-        """The picture of what is predicted, and of what the run recorded of it, in its units.
+        """Return a picture of the predictions and of the recorded values, in the units of the run.
 
         Raises:
             InputError: no channel is predicted.
@@ -116,7 +119,7 @@ def _flattened(predicted: PredictedRun) -> tuple[list[tuple[Any, Any]], tuple[st
 
 
 def _plain_dict(names: tuple[str, ...], values: Iterable[Any]) -> Any:
-    """What is computed from a prediction, which is that of no run."""
+    """Return values that were computed from a prediction, which belong to no run."""
     return dict(zip(names, values, strict=True))
 
 
@@ -130,19 +133,19 @@ def predict(
     *,
     without: Sequence[str] = (),
 ) -> PredictedRun:
-    """Channels that a model predicts for a run.
+    """Predict channels of a run with a model.
 
     Arguments:
-        model: the model.
-        run: gives times, commands and wind; its recorded channels are not used.
-        channels: names without unit (`link06_z`); those that the run recorded by default.
-        without: of what of the model the run has another one, such as `camera` or `wind`: it is
-            then as the sidecar of the run states, or left out. A path, the name of a group of
+        model: model.
+        run: run that provides times, commands and wind. Its recorded channels are not used.
+        channels: names without unit (`link06_z`). The default is the recorded channels of the run.
+        without: parts of the model that differ in this run, such as `camera` or `wind`. They are
+            taken from the sidecar of the run, or omitted. Each is a path, the name of a group of
             parameters, or the end of a path.
 
     Returns:
-        Arrays in SI units of shape (sample,) by channel name; infinite or NaN where the
-        simulation did not arrive. Their `plot()` is the picture of them and the run.
+        Arrays in SI units of shape (sample,) by channel name. Values are infinite or NaN where the
+        simulation failed. The method `plot()` returns a picture of them and of the run.
 
     Raises:
         InputError: an unknown channel or name, or a run of another model.
@@ -159,19 +162,20 @@ def prediction_errors(
     *,
     without: Sequence[str] = (),
 ) -> PredictionErrors:
-    """How far a prediction is from what a run recorded, in the unit of the recording.
+    """Compute the errors of a prediction in the unit of the recording.
 
-    Its initial state is as its definition says; errors are infinite where the simulation failed.
+    The initial state is that of the definition of the run. Errors are infinite if the simulation
+    failed.
 
     Raises:
-        InputError: as `predict`.
+        InputError: as in `predict`.
     """
     names = list(run.observations if channels is None else channels)
     return errors_of(run, predict(model, run, names, without=without))
 
 
 def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors:
-    """How far predicted channels (SI) are from a run's, in the unit of the recording."""
+    """Return the errors of predicted channels (SI units) in the unit of the recording."""
     errors = {}
     for name, values in predicted.items():
         channel, recorded = run.channels[name], run.observations[name]
@@ -188,51 +192,51 @@ def errors_of(run: Run, predicted: Mapping[str, np.ndarray]) -> PredictionErrors
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class FitResult(ShownAsTable):
-    """What a fit found; `result.model` is the fitted model.
+    """Result of a fit. `result.model` is the fitted model.
 
-    It prints as a table of its parameters, and a notebook shows it as one.
+    It is printed as a table of its parameters, in a notebook as well.
 
     Attributes:
         status: "converged", "not_converged" or "interrupted".
-        message: one sentence that says how it ended.
-        model: the fitted model.
-        parameters: `Estimate` by path: the free ones, element by element, then all others.
-        correlation: of the determined free parameters.
-        runs: the fitted runs, with the errors of their channels.
-        cost: half the sum of the loss over the weighted residuals.
-        reduced_chi_square: squared weighted residuals per degree of freedom.
-        iterations: trial steps after the evaluation of the start.
-        gradient_check: derivatives by autodiff against differences at the optimum.
-        tolerance_effect: shift of the parameters with a finer solver tolerance.
-        conditions: sentences on what the values are conditional on.
-        seconds: wall time, compiling apart.
-        versions: of giajax and of the libraries that computed it.
-        config: the settings of the fit, resolved; with the parameters it rebuilds the model.
-        history: the start and each iteration.
-        starts: where the fit was started (`giajax.multi_start`), each with its end; empty for
-            one start.
-        validation: errors of prediction of runs that were not fitted.
-        held_out: what was held out of the fit (`FitTask.on_top(hold_out=)`), and how well it is
-            predicted.
-        noise: what was taken for noise; None from a file without it.
-        integration: how the model was integrated; None of one without a solver to choose, and
-            from a file without it.
-        verdict: whether the model describes the data, apart from convergence.
-        derived: `Estimate` by name of what follows from the free parameters: the tied ones, and
-            what the model derives (`AbstractModel.derived`).
-        findings: what the data cannot tell, each with advice (`docs/findings.md`).
-        suspects: what the residuals suggest (`giajax.suspects`), the most promising first; empty
-            where that was not asked.
-        systematic: what held numbers do to the fitted ones (`giajax.systematic_errors`); likewise.
-        task: how `giajax.FitTask.again` fits it again: files with their checksums, and settings;
-            empty for a fit of runs without a task.
-        predictions: what is predicted of each run (SI), by name; empty after `load_result`.
-        held_predictions: those of each of `held_out`, likewise.
-        reason: what ended the fit: "optimum"; "iterations" or "budget", which were used up;
-            "rough" (no step lowers a cost that is not smooth), "wall" (the model cannot be
-            evaluated beyond), "crawl" (the cost hardly falls any more), "cannot_fit" (the model
-            describes the data hardly better than a constant), "no_response" (of any channel to
-            what is free); "interrupted"; empty in a file of an earlier version.
+        message: one sentence on how the fit ended.
+        model: fitted model.
+        parameters: `Estimate` by path: first the free parameters, by element, then all others.
+        correlation: correlations of the determined free parameters.
+        runs: fitted runs, with the errors of their channels.
+        cost: half the sum of the losses of the weighted residuals.
+        reduced_chi_square: sum of squared weighted residuals per degree of freedom.
+        iterations: number of trial steps after the evaluation of the initial guess.
+        gradient_check: comparison of automatic derivatives with differences at the optimum.
+        tolerance_effect: shift of the parameters at a finer solver tolerance.
+        conditions: sentences on held values on which the estimates depend.
+        seconds: wall-clock time, with compilation listed separately.
+        versions: versions of giajax and of the numerical libraries.
+        config: resolved settings of the fit. With the parameters, they rebuild the model.
+        history: initial guess and each iteration.
+        starts: initial guesses of the fit (`giajax.multi_start`), each with its result. Empty for a
+            single initial guess.
+        validation: prediction errors of runs that were not fitted.
+        held_out: held-out data (`FitTask.on_top(hold_out=)`) and their prediction errors.
+        noise: noise of the fit, or None if a file does not contain it.
+        integration: integration of the model, or None if the model has no solver to choose, or if a
+            file does not contain it.
+        verdict: whether the model describes the data, independent of convergence.
+        derived: `Estimate` by name of the quantities that depend on the free parameters: tied
+            parameters, and derived quantities of the model (`AbstractModel.derived`).
+        findings: quantities that the data cannot determine, each with advice (`docs/findings.md`).
+        suspects: effects that the residuals suggest (`giajax.suspects`), the most promising first.
+            Empty if the test was not requested.
+        systematic: effects of held values on the fitted ones (`giajax.systematic_errors`). Empty if
+            they were not requested.
+        task: data with which `giajax.FitTask.again` repeats the fit: files with their checksums,
+            and settings. Empty for a fit of runs without a task.
+        predictions: predictions for each run (SI units), by name. Empty after `load_result`.
+        held_predictions: predictions for each of `held_out`. Empty after `load_result`.
+        reason: reason for the end of the fit: "optimum"; "iterations" or "budget" (the limit was
+            reached); "rough" (no step lowers a cost that is not smooth); "wall" (the model cannot
+            be evaluated beyond the point); "crawl" (the cost hardly decreases); "cannot_fit" (the
+            model describes the data hardly better than a constant); "no_response" (no channel
+            depends on the free parameters); "interrupted". Empty in a file of an earlier version.
     """
 
     status: Status
@@ -269,69 +273,70 @@ class FitResult(ShownAsTable):
 
     @property
     def loss(self) -> AbstractLoss:
-        """How a large residual counted."""
+        """Loss function of the fit."""
         return loss_of(self.config.get("loss", "linear"))
 
     @property
     def free(self) -> dict[str, Estimate]:
-        """The parameters that the fit was allowed to move."""
+        """Parameters that the fit could change."""
         return {path: estimate for path, estimate in self.parameters.items() if estimate.free}
 
     @property
     def nuisances(self) -> tuple[str, ...]:
-        """Paths of what was free because it is always uncertain, and not because it was asked."""
+        """Paths of the parameters that were free as nuisance parameters, not by request."""
         return tuple(self.config.get("nuisances", ()))
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Paths of what was free because it was asked."""
+        """Paths of the parameters that were free by request."""
         return tuple(path for path in self.free if path not in self.nuisances)
 
     @property
     def shown(self) -> dict[str, Estimate]:
-        """The free parameters, what follows from them, and those that the settings fix.
+        """Free parameters, derived quantities, and parameters that the settings fix.
 
-        Of what has a value for each group of runs, these values follow their mean, if they are few.
+        The mean of a parameter with a value for each group of runs is followed by these values, if
+        they are few.
         """
         chosen = [path.partition("[")[0] for path in self.config.get("fix", {})]
         held = {path: self.parameters[path] for path in chosen if path in self.parameters}
         free, nuisances = self.free, set(self.nuisances)
         asked = {path: one for path, one in free.items() if path not in nuisances}
         others = {path: one for path, one in free.items() if path in nuisances}
-        # What follows from these alone is shown by them.
+        # Quantities that are derived from nuisance parameters alone are represented by them.
         follows = {path.partition("[")[0] for path in nuisances}
         derived = {p: one for p, one in self.derived.items() if p.partition("[")[0] not in follows}
         return {**asked, **rows_of_runs(self.runs, asked), **derived, **held, **others}
 
     def plot(self, run: Run | None = None) -> "Figure":
-        """The picture of what a fitted run recorded and of what the fit predicts of it.
+        """Return a picture of a fitted run, with its recorded and predicted values.
 
         Arguments:
-            run: one of those that were fitted; not needed where it was one alone, which a result
-                that was loaded reads again from its file.
+            run: one of the fitted runs. It is optional if there is only one. A loaded result then
+                reads it from its file.
 
         Raises:
-            InputError: as `giajax.report.plot`.
+            InputError: as in `giajax.report.plot`.
         """
         return _drawn("plot", self, run)
 
     def predict(
         self, run: Run, channels: Sequence[str] | None = None, *, without: Sequence[str] = ()
     ) -> PredictedRun:
-        """Channels that the fitted model predicts for a run.
+        """Predict channels of a run with the fitted model.
 
         Arguments, results and errors are those of `giajax.predict`.
         """
         return predict(self.model_of(run), run, channels, without=without)
 
     def model_of(self, run: Run) -> AbstractModel:
-        """The fitted model as it is for a run: of one that was fitted, with its own values."""
+        """Return the fitted model for a run, with its own values if the run was fitted."""
         return model_of_run(self.model, self.runs, run, self.config.get("ties", {}))
 
     def to_frame(self) -> "pl.DataFrame":
-        """The parameters that are shown, in SI units, as a frame of Polars: a row for each.
+        """Return the displayed parameters as a Polars frame with one row each, in SI units.
 
-        `low` and `high` hold the value by 95 %.
+        `low` and `high` are the limits of the 95 % interval.
         """
         import polars as pl
 
@@ -352,7 +357,7 @@ class FitResult(ShownAsTable):
         return pl.DataFrame(rows, infer_schema_length=None)
 
     def to_json(self) -> str:
-        """The result as JSON; what is not finite becomes null."""
+        """Return the result as JSON. Numbers that are not finite become null."""
         record = {name: getattr(self, name) for name in _STORED.__annotations__}
         return json_text(record, {"schema_version": SCHEMA_VERSION, "model": self.model.kind})
 
@@ -369,10 +374,10 @@ class FitResult(ShownAsTable):
 
     @property
     def headline(self) -> str:
-        """The message; before it "NOT CONVERGED", or what is wrong with the model."""
+        """The message, preceded by "NOT CONVERGED" or by the problem of the model."""
         message, reasons = self.message, self.verdict.reasons
         if self.status != "converged":
-            # Its verdict is that of no optimum, and stands beside it.
+            # The verdict does not refer to an optimum, and is displayed separately.
             return f"NOT CONVERGED: {message}" if self.status == "not_converged" else message
         if self.verdict.status == "inadequate":
             return (
@@ -380,12 +385,13 @@ class FitResult(ShownAsTable):
                 "conditional on a model that does not describe the data"
             )
         if reasons and reasons[0].code in ("suspect", "prior", "vanished"):
-            # What to do about it stands in the verdict.
+            # The verdict contains the advice.
             return f"DOUBTFUL MODEL: {reasons[0].sentence.partition(': ')[0]}; {message}"
         return message
 
 
-# What of a result its file holds; the model is built from the configuration and the parameters.
+# Fields of a result that its file contains. The model is built from the configuration and the
+# parameters.
 _STORED = dataclasses.make_dataclass(
     "_STORED",
     [
@@ -397,28 +403,29 @@ _STORED = dataclasses.make_dataclass(
 
 
 def arm_model_of(model: AbstractModel | FitResult) -> ArmModel:
-    """The model of an arm, fitted or not (`InputError`: it is another model)."""
+    """Return the model of an arm, fitted or not (`InputError` for any other model)."""
     stated = model.model if isinstance(model, FitResult) else model
     if stated.kind != ARM.name:
         raise InputError(
-            f"the model is a {stated.kind} model, but an arm is required: give a fit of an arm, or "
-            "its file"
+            f"the model is a {stated.kind} model, but an arm model is required: give a fit of an "
+            "arm, or its file"
         )
     return cast("ArmModel", stated)
 
 
 def load_result(path: str | Path) -> FitResult:
-    """Read a `result.json`, or the folder that holds one; its model predicts.
+    """Read a `result.json`, or the folder that contains one. Its model can predict.
 
     Raises:
-        InputError: no such file, or not a result of giajax; with the first key that is wrong.
+        InputError: the file does not exist, or is not a giajax result. The message gives the first
+            wrong key.
 
     Example:
         >>> result = giajax.load_result("giajax-out/base_step")  # doctest: +SKIP
         >>> result.predict(giajax.read_run("other.csv"))  # doctest: +SKIP
     """
     folder, record = stored_result(path)
-    what = f"{folder / 'result.json' if Path(path).is_dir() else path} is not a result of giajax"
+    what = f"{folder / 'result.json' if Path(path).is_dir() else path} is not a giajax result"
     kind = record.pop("model")
     fields = _fields(record, what)
     values = {path: estimate.value for path, estimate in fields["parameters"].items()}
@@ -433,20 +440,20 @@ def load_result(path: str | Path) -> FitResult:
 
 
 def parse_result(text: str, model: AbstractModel) -> FitResult:
-    """A result from what `FitResult.to_json` of this version gave, and its fitted model."""
+    """Return a result from the output of `FitResult.to_json` of this version and its model."""
     record = json.loads(text)
     del record["model"]
-    return _of(_fields(record, "the text is not a result of giajax"), model)
+    return _of(_fields(record, "the text is not a giajax result"), model)
 
 
 _REMEDY = "give the folder of a fit"
 
 
 def _fields(record: dict[str, Any], what: str) -> Mapping[str, Any]:
-    """The fields of a stored result, which earlier versions lack some of; without its model."""
+    """Return the fields of a stored result without its model. Earlier versions lack some fields."""
     del record["schema_version"]
     fields = vars(from_plain(_STORED, record, what, _REMEDY))
-    # A parameter that follows from others has a standard error, and no start of its own.
+    # A tied parameter has a standard error, but no initial value of its own.
     known = [
         path
         for path, one in fields["parameters"].items()

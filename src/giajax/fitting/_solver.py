@@ -1,9 +1,11 @@
 """A Marquardt-scaled trust region behind optimistix's interface.
 
-optimistix's Levenberg-Marquardt damps with a multiple of the identity and pays for the Jacobian
-more than once a step; on the paper's arm it needs 36 to 45 steps. Here the damping is scaled by
-the norms of the Jacobian's columns (Marquardt 1963; More 1978), and one vmapped jvp gives value
-and Jacobian of the trial point together, so that an accepted step costs one evaluation.
+
+The Levenberg-Marquardt method of optimistix damps with a multiple of the identity, and computes the
+Jacobian more than once for each step. For the arm of the paper it needs 36 to 45 steps. Here the
+damping is scaled by the norms of the columns of the Jacobian (Marquardt 1963; More 1978). One
+vmapped jvp gives the value and the Jacobian of the trial point together, so an accepted step
+requires one evaluation.
 """
 
 import functools
@@ -24,18 +26,22 @@ Linearised = tuple[Array, Any, Array, Array, Any]
 
 
 class MarquardtState(eqx.Module):
-    """State between two steps; `residual`, `jacobian` and the like are those of the accepted point.
+    """State between two steps. Fields such as `residual` belong to the last accepted point.
 
     Attributes:
-        jacobian: whatever `linearise` gives.
-        factor, projected: R and Q^T r of the Jacobian's QR factorisation.
-        cost: half the squared norm of the residual; infinite before the first evaluation.
+        residual: residual at the point.
+        jacobian: Jacobian in the form that `linearise` returns.
+        factor, projected: R and Q^T r of the QR factorisation of the Jacobian.
+        cost: half the squared norm of the residual, infinite before the first evaluation.
         scale: largest norm of each column so far, which scales the damping.
-        damping: Marquardt's lambda; `growth` is what the next rejection multiplies it by.
-        step: last accepted or rejected step.
-        detour: the step to try next in place of a shorter one; 0 where there is none.
-        finite: whether everything was finite where the last step led to.
-        evaluations: how often value and Jacobian were computed.
+        damping: Marquardt's lambda.
+        growth: factor on the damping at the next rejection.
+        step: last step, accepted or rejected.
+        accepted: whether the last step was accepted.
+        detour: step to try next instead of a shorter one, 0 if there is none.
+        finite: whether all values at the end of the last step were finite.
+        aux: auxiliary output at the point.
+        evaluations: number of evaluations of value and Jacobian.
     """
 
     residual: Float[Array, " residual"]
@@ -55,27 +61,29 @@ class MarquardtState(eqx.Module):
 
 
 def residual_scale(state: MarquardtState) -> Any:
-    """The root of the reduced chi-square: the noise that the residual itself shows."""
+    """Return the root of the reduced chi-square: the noise estimated from the residual itself."""
     size = state.residual.shape[0] - state.projected.shape[0]
     return (2 * state.cost / max(size, 1)) ** 0.5
 
 
-# How often coordinates that leave the box are put on its sides, those that want to come back let
-# go, and the rest solved anew; and how often all of them at once.
+# Maximum number of rounds in which coordinates that leave the box are put on its sides, coordinates
+# that return are released, and the others are solved for again; and the number of rounds that
+# change all of them at once.
 _SIDES, _AT_ONCE = 40, 6
 
-# A bound is reached from near it: farther off a step covers this part of the way at most.
+# A bound is reached only from nearby. From further away, a step covers at most this fraction of the
+# distance.
 _AT_HAND, _WAY = 0.1, 0.9
 
 
 def towards(bound: Float[Array, " parameter"], most: float) -> Float[Array, " parameter"]:
-    """How far a step of at most `most` may go towards bounds; the way is negative downwards."""
+    """Return the limits of a step of at most `most` towards bounds (negative downwards)."""
     way = jnp.where(jnp.abs(bound) > _AT_HAND, _WAY * bound, bound)
     return jnp.clip(way, -abs(most), abs(most))
 
 
 class _Sides(NamedTuple):
-    """Which coordinates are held on which side of the box, and the step with them there."""
+    """Coordinates that are held on a side of the box, and the resulting step."""
 
     step: Array
     side: Array
@@ -91,16 +99,16 @@ def boxed_step(
     box: tuple[Float[Array, " parameter"], Float[Array, " parameter"]],
     active: Bool[Array, " parameter"],
 ) -> Float[Array, " parameter"]:
-    """The step s that minimises |R s + Q^T r|^2 + |D s|^2 over a box; D is positive.
+    """Return the step s that minimises |R s + Q^T r|^2 + |D s|^2 over a box.
 
-    By block principal pivoting (Kim and Park 2011): coordinates that want to leave the box stay on
-    its side, the others are solved for again, and those that then want to come back are let go. To
-    shorten the whole step would let one weak parameter hold up all of them.
+    The method is block principal pivoting (Kim and Park 2011). Coordinates that would leave the box
+    are held on its side, the others are solved for again, and held coordinates that would return
+    are released. Shortening the whole step instead would let one weak parameter delay all others.
 
     Arguments:
-        factor, projected: R and Q^T r of the Jacobian's QR factorisation.
-        damping: D.
-        box: the lowest (at most 0) and the highest (at least 0) step of each coordinate.
+        factor, projected: R and Q^T r of the QR factorisation of the Jacobian.
+        damping: diagonal of D, positive.
+        box: lowest (at most 0) and highest (at least 0) step of each coordinate.
         active: coordinates that may move.
     """
     lowest, highest = box
@@ -121,7 +129,8 @@ def boxed_step(
         uphill = factor.T @ (projected + factor @ step) + damping**2 * step
         back = carry.held & jnp.where(carry.side <= lowest, uphill < 0, uphill > 0)
         wrong = active & ((~carry.held & (below | above)) | back)
-        # All at once is quick, and may go round in circles; one by one, by place, does not.
+        # Changing all at once is fast, but may cycle. Changing one at a time, by position, does
+        # not.
         last = jnp.max(jnp.where(wrong, places, -1))
         wrong = wrong & ((carry.rounds < _AT_ONCE) | (places == last))
         side = jnp.where(wrong & below, lowest, jnp.where(wrong & above, highest, carry.side))
@@ -139,34 +148,36 @@ def boxed_step(
     return jnp.clip(end.step, lowest, highest)
 
 
-# By what a step may lower the damping at most: one after another, and after one that was refused.
+# Smallest factors by which an accepted step may lower the damping: after an accepted step, and
+# after a rejected one.
 _SHRINKS = 0.05, 0.33
 
 
 class Marquardt(optx.AbstractLeastSquaresSolver):
-    """Least squares by a trust region; a trial point that fails is a rejected step.
+    """Least-squares trust-region solver in which a failed trial point is a rejected step.
 
     `fn(y, args)` takes one array of parameters and returns one array of residuals and auxiliary
-    output, and must be differentiable in forward mode. A trial point whose residual or Jacobian
-    is not finite is rejected, and the step shrinks.
+    output, and must be differentiable in forward mode. A trial point whose residual or Jacobian is
+    not finite is rejected, and the step becomes shorter.
 
     Options (of `optimistix.least_squares`):
-        `active`: a boolean array: parameters that may move.
-        `lower`, `upper`: arrays of bounds, which a trial point may lie on; infinite by default.
-        `linearise`: a function of `(y, args)` that returns residual, Jacobian (any pytree), R and
-        Q^T r of its QR factorisation, and the auxiliary output, for problems with a structure;
-        `fn` is then not called. `jacobian` is a template of the pytree.
+        `active`: Boolean array of the parameters that may move.
+        `lower`, `upper`: arrays of bounds, on which a trial point may lie. They are infinite by
+            default.
+        `linearise`: a function of `(y, args)` that returns the residual, the Jacobian (any pytree),
+            R and Q^T r of its QR factorisation, and the auxiliary output, for structured problems.
+            `fn` is then not called. `jacobian` is a template of the pytree.
 
     Arguments:
-        rtol, atol: a step that changes no parameter by more than `atol + rtol |y|` is the last:
-            converged when it was taken undamped, stuck otherwise.
-        distance: converged when the full Gauss-Newton step would change the parameters by less
-            than this many standard errors (with the noise that the residual itself shows).
-        floor: converged when the cost is not above this.
-        largest_step: no coordinate moves by more than this in one step. Where coordinates are
-            logarithms it keeps a trial point within a factor, so that an early, poor model of
-            the cost does not send a parameter to its bound or a chain into stiffness.
-        norm: unused by this solver; required by optimistix.
+        rtol, atol: a step that changes no parameter by more than `atol + rtol |y|` is the last. The
+            solver has converged if that step was taken without damping, and is stuck otherwise.
+        distance: the solver has converged if the full Gauss-Newton step would change the parameters
+            by less than this number of standard errors (for the noise estimated from the residual).
+        floor: the solver has converged if the cost is not above this value.
+        largest_step: largest change of a coordinate in one step. If coordinates are logarithms, it
+            limits a trial point to a factor, so that an early, poor model of the cost does not send
+            a parameter to its bound or make a chain stiff.
+        norm: not used by this solver, but required by optimistix.
     """
 
     rtol: float = 1e-9
@@ -186,10 +197,10 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         aux_struct: Any,
         tags: frozenset[object],
     ) -> MarquardtState:
-        """State before the first evaluation, which is the first step."""
+        """Return the state before the first evaluation, which is the first step."""
         count, size = f_struct.shape[0], y.shape[0]
         dtype = f_struct.dtype
-        # By numpy: outside a program each operation of JAX is one, and compiled by itself.
+        # NumPy is used, because outside a program each operation of JAX is compiled separately.
         zeros = functools.partial(np.zeros, dtype=dtype)
         blank = {
             "residual": zeros(count),
@@ -218,7 +229,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         state: MarquardtState,
         tags: frozenset[object],
     ) -> tuple[Array, MarquardtState, Any]:
-        """Try one step; the first one evaluates the start."""
+        """Try one step. The first step evaluates the initial point."""
         trial = self.propose(y, options, state)
         if "linearise" in options:
             there = options["linearise"](trial, args)
@@ -234,16 +245,17 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         options: dict[str, Any],
         blank: tuple[Array, Any],
     ) -> Iterator[tuple[Array, MarquardtState, optx.RESULTS | None]]:
-        """The steps from a point, tried one after the other on the host; the first evaluates it.
+        """Try steps from a point one after the other on the host. The first one evaluates it.
 
         Arguments:
-            y: where to begin.
+            y: initial point.
             linearise: the option of this name, as a function of the point alone.
-            options: the others, as `step` has them.
-            blank: a residual and auxiliary output, whose values do not count.
+            options: the other options of `step`.
+            blank: residual and auxiliary output whose values are not used.
 
         Yields:
-            After each step the point, the state there, and how it ended; None where it goes on.
+            After each step, the point, the state, and how the solver ended, or None if it
+            continues.
         """
         options = {**options, "linearise": lambda there, _: linearise(there)}
         state = self.init(_not_called, y, None, options, *blank, frozenset())
@@ -255,17 +267,17 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
                 return
 
     def propose(self, y: Array, options: dict[str, Any], state: MarquardtState) -> Array:
-        """The point to evaluate next; before the first evaluation, the one where it is."""
+        """Return the next point to evaluate, which is the initial point at first."""
         step = self._step_from(y, options, state, state.factor, state.projected)
         step = jnp.where(jnp.any(state.detour != 0), state.detour, step)
-        # Exactly on the bound, not beside it by rounding.
+        # The point lies exactly on the bound, without rounding.
         lower, upper = _bounds(y, options)
         return jnp.where(jnp.isinf(state.cost), y, jnp.clip(y + step, lower, upper))
 
     def _step_from(
         self, y: Array, options: dict[str, Any], state: MarquardtState, factor: Array, at: Array
     ) -> Array:
-        """The damped step within the box, by a linear model of the residual at a point."""
+        """Return the damped step within the box, for a linear model of the residual at a point."""
         active = options.get("active", jnp.ones(y.shape, bool))
         lower, upper = _bounds(y, options)
         weights = jnp.sqrt(state.damping) * jnp.where(state.scale > 0, state.scale, 1)
@@ -280,7 +292,7 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         trial: Array,
         there: Linearised,
     ) -> tuple[Array, MarquardtState]:
-        """Go to a trial point, at which `linearise` gave what is there, or stay."""
+        """Move to a trial point with the results of `linearise` at this point, or stay."""
         first = jnp.isinf(state.cost)
         active = options.get("active", jnp.ones(y.shape, bool))
         residual, jacobian, factor, projected, aux = there
@@ -288,21 +300,24 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         factor = jnp.where(active[None], factor, 0)
         cost = jnp.sum(residual**2) / 2
         leaves = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(jacobian)]
-        # Derivatives may be finite and yet so large that their squares are not.
+        # Derivatives may be finite, but so large that their squares are not.
         finite = jnp.isfinite(cost) & jnp.all(jnp.stack(leaves))
         finite = finite & jnp.isfinite(jnp.sum(factor**2))
 
         linear = state.projected + state.factor @ step
         expected = (jnp.sum(state.projected**2) - jnp.sum(linear**2)) / 2
-        # A step that the box has bent may promise nothing; then only a lower cost counts.
+        # The linear model may predict no gain for a step that the box has bent. Then only a lower
+        # cost is required.
         gain = jnp.where(first, 1, state.cost - cost)
         ratio = jnp.where(first, 1, gain / jnp.where(expected > 0, expected, jnp.inf))
-        # Of a detour only a lower cost counts: the linear model does not hold so far.
+        # For a detour only a lower cost is required, because the linear model is not valid that
+        # far.
         roundabout = jnp.any(state.detour != 0)
         accepted = finite & (gain > 0) & ((ratio > 1e-4) | (expected <= 0) | roundabout)
 
-        # Nielsen's rule: a good step lowers the damping smoothly, failures raise it ever faster.
-        # Where they just did, a little: they would only come again.
+        # Nielsen's rule: a good step lowers the damping smoothly, and failures raise it
+        # increasingly fast. After a recent failure the damping decreases only a little, because
+        # failures would recur.
         least = jnp.where(state.accepted | ~state.finite, *_SHRINKS)
         shrink = jnp.clip(1 - (2 * ratio - 1) ** 3, least, 2.0)
         moved = MarquardtState(
@@ -321,8 +336,9 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
             aux=aux,
             evaluations=state.evaluations + 1,
         )
-        # A step along a valley that bends leaves its floor. Before a shorter one it is tried
-        # whether the linear model where it led goes on to a cost that is lower than at first.
+        # A step along a curved valley leaves its floor. Before a shorter step is tried, the linear
+        # model at the end of the step is used to continue to a point with a lower cost than the
+        # first.
         onward = self._step_from(trial, options, state, factor, projected)
         detours = finite & ~roundabout & ~first & (state.growth == 4)
         stayed = eqx.tree_at(
@@ -350,13 +366,14 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         state: MarquardtState,
         tags: frozenset[object],
     ) -> tuple[Bool[Array, ""], optx.RESULTS]:
-        """Converged, stuck, or neither."""
+        """Return whether the solver has converged or is stuck."""
         near = self.explainable_norm(y, options, state) <= self.distance * residual_scale(state)
-        # Data without noise: nothing is left that a step could lower.
+        # With data without noise, no step could lower the cost further.
         perfect = state.cost <= self.floor
         tiny = jnp.all(jnp.abs(state.step) <= self.atol + self.rtol * jnp.abs(y))
         tiny = tiny & (state.evaluations > 1)
-        # A step that is tiny because it is damped, or was rejected, says nothing of an optimum.
+        # A step that is tiny because of damping, or that was rejected, does not indicate an
+        # optimum.
         settled = tiny & state.accepted & (state.damping < 1)
         evaluated = jnp.isfinite(state.cost)
         converged = evaluated & (near | perfect | settled)
@@ -369,12 +386,13 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     def explainable_norm(
         self, y: Any, options: dict[str, Any], state: MarquardtState, maths: Any = jnp
     ) -> Any:
-        """Norm of the part of the residual that the parameters could still explain, to first order.
+        """Return the norm of the residual that parameters could still explain, to first order.
 
-        Directions in which nothing responds (held or collinear parameters) do not count: there Q is
-        arbitrary. Nor do coordinates to which the residual responds by no more than what a fit may
-        be off by, as on their way to infinity: they would run on for ever; nor those that are at a
-        bound and would only leave it outwards. By NumPy where all is of its arrays.
+        Directions without any response (held or collinear parameters) are excluded, because Q is
+        arbitrary there. Coordinates with a response below the permitted distance from the optimum,
+        such as those that tend to infinity, are excluded, because they would never stop. So are
+        coordinates at a bound that would only leave it outwards. NumPy is used if all arrays are
+        NumPy arrays.
         """
         lower, upper = _bounds(y, options)
         uphill = state.factor.T @ state.projected
@@ -398,17 +416,17 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
         tags: frozenset[object],
         result: optx.RESULTS,
     ) -> tuple[Array, Any, dict[str, Any]]:
-        """Nothing is left to do."""
+        """Return the point and the auxiliary output unchanged."""
         return y, aux, {"cost": state.cost, "evaluations": state.evaluations}
 
 
 def _not_called(y: Any, args: Any) -> Any:
-    """Stands for the function where the options have `linearise`."""
+    """Placeholder for the function if the options contain `linearise`."""
     raise NotImplementedError
 
 
 def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
-    """Bounds of the parameters, infinite where the options have none."""
+    """Return the bounds of the parameters, infinite if the options contain none."""
     unbounded = np.full(y.shape, np.inf, y.dtype)
     return options.get("lower", -unbounded), options.get("upper", unbounded)
 
@@ -416,7 +434,7 @@ def _bounds(y: Array, options: dict[str, Any]) -> tuple[Array, Array]:
 def with_jacobian(
     function: Callable[[Array], tuple[Array, Any]], at: Array
 ) -> tuple[Array, Array, Any]:
-    """Value, Jacobian and auxiliary output from one vmapped jvp, which shares the primal."""
+    """Return value, Jacobian and auxiliary output from one vmapped jvp with a shared primal."""
 
     def push(tangent: Array) -> tuple[Array, Array, Any]:
         return jax.jvp(function, (at,), (tangent,), has_aux=True)
@@ -425,7 +443,7 @@ def with_jacobian(
 
 
 def _linearise(fn: Callable, y: Array, args: Any) -> Linearised:
-    """Residual and Jacobian; R, Q^T r; aux."""
+    """Return residual, Jacobian, R, Q^T r and auxiliary output."""
     residual, jacobian, aux = with_jacobian(lambda y: fn(y, args), y)
     q, r = jnp.linalg.qr(jnp.where(jnp.isfinite(jacobian), jacobian, 0))
     return residual, jacobian, r, q.T @ residual, aux

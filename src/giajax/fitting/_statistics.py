@@ -1,4 +1,4 @@
-"""What the data determine: parameters, combinations of them, and their statistics together."""
+"""Parameters and combinations of parameters that the data determine, and their statistics."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -22,41 +22,43 @@ from ._uncertainty import (
 )
 from ._weights import Priors
 
-_AT_BOUND = 0.1  # a parameter this close to its bound, in standard errors, is at it
+_AT_BOUND = 0.1  # distance from a bound, in standard errors, of a parameter that is at the bound
 
-# And this close in its own size: what is undetermined ends anywhere, and is at no bound.
+# The same distance in units of the size of the parameter. An undetermined parameter may end
+# anywhere and is not at a bound.
 _NEAR = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """What the residuals and the Jacobian at the end say of the free parameters, by position.
+    """Statistics of the free parameters at the end of a fit, by position.
 
     Attributes:
-        labels: names of all free parameters, those of single runs with the run.
-        values: of all of them, shape (parameter,).
-        alive: those that the residuals respond to.
-        together: groups of which only a combination is determined.
-        determined: those that have a standard error of their own.
-        standard_errors: of each determined one.
-        degrees_of_freedom: degrees of freedom of Student's t for its interval, likewise.
-        sandwich: standard error that does not trust the noise model, likewise; empty where none.
-        widening: its error over that with white noise of the same size; empty where it is white.
-        correlation: of the determined ones, in their order.
+        labels: names of all free parameters. Those of single runs include the name of the run.
+        values: values of all free parameters, shape (parameter,).
+        alive: positions of the parameters that affect the residuals.
+        together: groups of parameters of which only a combination is determined.
+        determined: positions of the parameters with individual standard errors.
+        standard_errors: standard error of each determined parameter.
+        degrees_of_freedom: degrees of freedom of Student's t for the interval of each.
+        sandwich: standard error of each without assuming the noise model. Empty if there is none.
+        widening: standard error of each, relative to that for white noise of the same size. Empty
+            if the noise is white.
+        correlation: correlations of the determined parameters, in their order.
         root: R of the QR factorisation of the Jacobian, columns of `alive`.
-        covariance: of `alive`.
+        covariance: covariance of the parameters in `alive`.
         reduced_chi_square: sum of squared weighted residuals per degree of freedom.
         scale: factor on the covariance, 1 unless the residuals exceed the noise.
-        bounds: of the parameters that ended at one: "lower" or "upper".
-        prior_degrees_of_freedom: of the parameters, those that their priors know and the measured
-            values do not lose: they lose the trace of the hat matrix.
-        prior_shares: how much of what is known of a parameter is its prior's: the variance of the
-            estimate, were the noise as stated, over that of the prior.
-        sources: what each recording is worth, by parameter; see `_sources`.
-        noise_errors: what the standard errors would be if the nuisances were known, where there are
-            any.
-        bread: inverse of the second derivative of the cost, columns of `alive`: what the cost says
-            of the parameters, where `covariance` is what the residuals say.
+        bounds: "lower" or "upper" for each parameter that ended at a bound.
+        prior_degrees_of_freedom: degrees of freedom of the parameters that the priors determine.
+            The measured values lose only the rest, the trace of the hat matrix.
+        prior_shares: share of the prior in the information on a parameter: variance of the estimate
+            for the specified noise, divided by the variance of the prior.
+        sources: contribution of each recording, by parameter (see `_uncertainty.sources`).
+        noise_errors: standard errors if the nuisance parameters were known. Empty without nuisance
+            parameters.
+        bread: inverse of the second derivative of the cost, columns of `alive`. It follows from the
+            cost alone, while `covariance` also depends on the residuals.
     """
 
     labels: tuple[str, ...]
@@ -82,7 +84,7 @@ class Statistics:
 
 
 def statistics(state: FitState) -> Statistics:
-    """The statistics of a fit where it ended."""
+    """Return the statistics at the end of a fit."""
     problem = state.problem
     jacobian = state.natural_jacobian
     moves = responds(jacobian.norms(), state.sizes)
@@ -147,7 +149,7 @@ def _noise_errors(
     covariance: np.ndarray,
     nuisances: Sequence[str],
 ) -> dict[int, float]:
-    """What the standard errors of what was asked would be if the nuisances were known."""
+    """Return the standard errors of the requested parameters if the nuisances were known."""
     known = np.array([names[index] in nuisances for index in determined], dtype=bool)
     if not np.any(known) or np.all(known):
         return {}
@@ -168,7 +170,10 @@ def _of_each(
 
 
 def _against_stated(state: FitState) -> np.ndarray:
-    """The deviation in use over that which is stated, where one is; shape (residual,)."""
+    """Return the ratio of the standard deviation in use to the specified one, shape (residual,).
+
+    The ratio is 1 if none is specified.
+    """
     noise = state.noise
     parts = []
     for batch in state.problem.batches:
@@ -184,9 +189,9 @@ def _against_stated(state: FitState) -> np.ndarray:
 
 
 def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals in units of the noise before the loss transforms them, and which are measured.
+    """Return the residuals divided by the noise before the loss, and which of them are measured.
 
-    The rows of priors come last, and count as measured.
+    The rows of the priors come last, and are measured.
     """
     batches = state.problem.batches
     weights = np.concatenate([np.asarray(batch.weight).ravel() for batch in batches])
@@ -201,7 +206,7 @@ def weighted_residuals(state: FitState) -> tuple[np.ndarray, np.ndarray]:
 def _prior_shares(
     priors: Priors, jacobian: BlockJacobian, alive: np.ndarray, root: np.ndarray
 ) -> dict[int, float]:
-    """How much of what is known of each parameter with a prior is the prior's."""
+    """Return the share of the prior in the information on each parameter with a prior."""
     if not len(priors.columns):
         return {}
     variances = np.diag(inverse_gram(root))
@@ -214,7 +219,7 @@ def _prior_shares(
 
 
 def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, str]:
-    """The determined parameters that ended at a bound, and at which."""
+    """Return the determined parameters that ended at a bound, with the name of the bound."""
     bijector, values, sizes = state.problem.bijector, state.values(), state.sizes
     return {
         index: name
@@ -225,26 +230,26 @@ def _at_bounds(state: FitState, standard_errors: dict[int, float]) -> dict[int, 
     }
 
 
-# Combinations of parameters that data determine where they do not determine each alone.
+# Combinations of parameters that the data determine although they do not determine each parameter.
 #
-# A direction that leaves every channel unchanged has in it, say, a mass, a stiffness and a
-# damping that grow by the same factor. What does not change along it is determined: stiffness /
-# mass and damping / mass. Of positive parameters the combinations are products of powers, because
-# the physics is made of products; of others they are sums, which hold near the estimate.
+# A direction that leaves every channel unchanged may consist of a mass, a stiffness and a damping
+# that increase by the same factor. Quantities that are constant along it are determined: stiffness
+# / mass and damping / mass. The combinations of positive parameters are products of powers, because
+# physical laws consist of products. Other combinations are sums, which are valid near the estimate.
 
-# Part in a direction, with normalised columns, below which a parameter is not in it.
+# Component of a direction, with normalised columns, below which a parameter is not part of it.
 _NOTHING = 0.01
 
-# An exponent this close to a simple fraction is that fraction: the rest is the integrator's.
+# An exponent this close to a simple fraction equals it. The difference is an integration error.
 _CLOSE = 0.02
 
-# The least of a singular value at which parameters can be given the place of a direction.
+# Smallest singular value at which parameters can represent directions.
 _SOUND = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
 class Combination:
-    """What is determined of some parameters, such as `joints.damping / links.mass`."""
+    """Combination of parameters that is determined, such as `joints.damping / links.mass`."""
 
     text: str
     members: tuple[int, ...]
@@ -259,14 +264,14 @@ class Combination:
 def combinations(
     statistics: Statistics, positive: Sequence[bool], usual: Sequence[bool]
 ) -> list[tuple[tuple[int, ...], list[Combination]]]:
-    """Parameters that are not determined one by one, and what of them is.
+    """Return the groups of undetermined parameters, and their determined combinations.
 
-    Of a direction in which nothing is determined there are no combinations.
+    A direction in which nothing is determined has no combinations.
 
     Arguments:
-        statistics: of the fit.
-        positive: whether each free parameter has no negative values.
-        usual: whether a fit usually holds it; such a one is the denominator, if there is one.
+        statistics: statistics of the fit.
+        positive: whether each free parameter cannot be negative.
+        usual: whether a fit usually holds each parameter. Such a parameter becomes the denominator.
     """
     directions = _directions(statistics.root)
     if not len(directions):
@@ -274,7 +279,7 @@ def combinations(
     alive = statistics.alive.tolist()
     order = sorted(range(len(alive)), key=lambda i: (not usual[alive[i]], i))
     pivots = _pivots(directions, order)
-    # Along the k-th row the k-th pivot moves, and no other pivot does.
+    # Along the k-th row, only the k-th pivot moves.
     rows = np.linalg.solve(directions[:, pivots], directions)
     norms = np.linalg.norm(statistics.root, axis=0)
     groups = []
@@ -291,7 +296,7 @@ def combinations(
 
 
 def _directions(root: np.ndarray) -> np.ndarray:
-    """Rows of unit length, of normalised columns, that leave every residual unchanged."""
+    """Return the unit directions, for normalised columns, that leave every residual unchanged."""
     if root.shape[1] < 2:
         return np.zeros((0, root.shape[1]))
     _, singular, right = np.linalg.svd(root / np.linalg.norm(root, axis=0))
@@ -299,7 +304,7 @@ def _directions(root: np.ndarray) -> np.ndarray:
 
 
 def _pivots(directions: np.ndarray, order: Sequence[int]) -> list[int]:
-    """A parameter for each direction, such that no direction is left when they are held."""
+    """Return one parameter for each direction, such that holding them leaves no direction."""
     pivots: list[int] = []
     for limit in (_SOUND, 0.0):
         for i in order:
@@ -311,7 +316,7 @@ def _pivots(directions: np.ndarray, order: Sequence[int]) -> list[int]:
 
 
 def _connected(present: np.ndarray, pivots: Sequence[int]) -> list[list[int]]:
-    """Positions that some rows have in common, in their order."""
+    """Return the connected groups of positions, sorted."""
     parts: list[set[int]] = []
     for row in present:
         part = set(np.flatnonzero(row).tolist())
@@ -329,7 +334,7 @@ def _combination(
     *,
     powers: bool,
 ) -> Combination:
-    """What of a parameter and the pivots does not change along the rows."""
+    """Return the combination of a parameter and the pivots that is constant along the rows."""
     alive, values = statistics.alive.tolist(), statistics.values[statistics.alive]
     moves = {
         pivot: rows[k, index] * norms[pivot] / norms[index]
@@ -372,7 +377,7 @@ def _product(
     labels: Sequence[str],
     alive: Sequence[int],
 ) -> str:
-    """`a / b`, `a * b` or `a / (b * c^2)`, where `exponents` are those of the denominator."""
+    """Return `a / b`, `a * b` or `a / (b * c^2)`. `exponents` are those of the denominator."""
 
     def power(pivot: int, exponent: Fraction | float) -> str:
         size = exponent if exponent > 0 else -exponent

@@ -1,7 +1,7 @@
-"""A fit between two steps of its loop, as frozen data, and pure functions to the next state.
+"""State of a fit between two steps as frozen data, and pure functions that return the next state.
 
-None changes the state that it takes, so that whoever holds one (the loop, after Ctrl-C) has a
-whole fit in hand. All of them evaluate the model by the same compiled program.
+No function changes its argument, so a caller that has a state (such as the loop after Ctrl-C) has a
+complete fit. All functions evaluate the model with the same compiled program.
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from ._weights import KeptNoise, Noise, Priors
 
 
 def coordinate_paths(problem: Problem) -> list[str]:
-    """Path of the parameter at each position of the free coordinate."""
+    """Return the path of the parameter at each position of the free coordinate."""
     names = [""] * problem.size
     for path, places in zip(problem.paths, problem.positions, strict=True):
         for place in places:
@@ -43,7 +43,7 @@ def coordinate_paths(problem: Problem) -> list[str]:
 
 
 def labels(problem: Problem, runs: Sequence[Run]) -> list[str]:
-    """Names of all free coordinates, each with the runs that it belongs to, if that is not all."""
+    """Return the names of all free coordinates, with their runs unless all runs share them."""
     sharing: dict[int, list[int]] = {}
     for batch in problem.batches:
         for member, columns in zip(batch.members, batch.columns(), strict=True):
@@ -69,31 +69,40 @@ Reason = Literal[
     "interrupted",
     "",
 ]
-"""As `FitResult.reason` has it; empty in a file of an earlier version."""
+"""Values of `FitResult.reason`; empty if an earlier version wrote the result."""
 
 
-_NOISE_ROUNDS = 3  # how often the noise is estimated anew, unless it settles before
+_NOISE_ROUNDS = 3  # maximum number of noise estimates, unless the noise converges earlier
 
 
 @dataclasses.dataclass(frozen=True)
 class FitState:
-    """One fit between two steps of its loop; arrays are of the free coordinates.
+    """A fit between two steps of its loop. Arrays contain one value for each free coordinate.
 
     Attributes:
-        start: values of the free parameters, those of single runs last, which what is held keeps.
-        sizes: their typical sizes, for judging whether anything responds to them.
-        coordinate: the best point so far; `inner` is the solver's own state there.
-        active: which may move.
-        part: of the rows of each run, from the first, that count; less than 1 on the way from a
-            start that is far off.
-        finer: what a finer tolerance of the integrator changes of the residuals there; None where
-            it was not requested.
-        done: whether the solver wants no further step; `converged`, whether it is at an optimum.
-        rounds_left: how often the noise may still be estimated again.
-        round_began: how long the history was when noise or tolerance last changed.
-        step_seconds: wall time of each evaluation; the first one compiles.
-        ending: how the fit ended, one sentence about it, and the word of `FitResult.reason`; None
-            while it goes on.
+        setup: configuration of the fit.
+        problem: least-squares problem.
+        noise: noise with which the residuals are weighted.
+        start: initial values of the free parameters, those of single runs last. Held parameters
+            keep them.
+        sizes: typical sizes of the parameters, used to decide whether a channel responds to them.
+        solver: least-squares solver.
+        coordinate: best point so far.
+        inner: state of the solver at this point.
+        active: which coordinates may move.
+        part: fraction of the rows of each run in use, counted from the first. It is less than 1
+            after a poor initial guess.
+        finer: change of the residuals at this point at a finer integrator tolerance, or None if it
+            was not computed.
+        done: whether the solver has ended.
+        converged: whether the solver is at an optimum.
+        trials: number of trial steps.
+        rounds_left: remaining number of noise estimates.
+        round_began: length of the history when the noise or the tolerance last changed.
+        history: initial guess and each iteration.
+        step_seconds: wall-clock time of each evaluation. The first one includes the compilation.
+        ending: how the fit ended, a sentence about it, and the value of `FitResult.reason`. None
+            while the fit is running.
     """
 
     setup: Setup
@@ -118,24 +127,24 @@ class FitState:
 
     @property
     def cost(self) -> float:
-        """Half the sum of the loss; infinite where nothing was evaluated."""
+        """Half the sum of the losses, infinite if nothing was evaluated."""
         return float(self.inner.cost)
 
     @property
     def evaluated(self) -> bool:
-        """Whether the model was evaluated at the present point."""
+        """Whether the model was evaluated at the current point."""
         return bool(np.isfinite(self.cost))
 
     def values(self) -> np.ndarray:
-        """Values of all free parameters at the best point, shape (parameter,)."""
+        """Return the values of all free parameters at the best point, shape (parameter,)."""
         values = self.problem.bijector.forward(np.asarray(self.coordinate, dtype=float))
-        # What is held keeps its start exactly, not as it comes back from its coordinate.
+        # Held parameters keep their initial values exactly, without rounding by the coordinate.
         return np.where(np.asarray(self.active), values, self.start)
 
     def parameters(self) -> dict[str, float]:
-        """Values of the model's free parameters at the best point, by path.
+        """Return the values of the model's free parameters at the best point, by path.
 
-        Of what has a value for each group of runs, the mean.
+        The values of groups of runs are averaged.
         """
         values, problem = self.values(), self.problem
         return {
@@ -145,30 +154,30 @@ class FitState:
 
     @functools.cached_property
     def tolerance(self) -> float | None:
-        """The tolerance in use; None of a model without an integrator."""
+        """Tolerance in use, or None for a model without an integrator."""
         integration = capabilities.integration(self.problem.model)
         return None if integration is None else integration.tolerance
 
     @functools.cached_property
     def jacobian(self) -> BlockJacobian:
-        """Weighted residuals by the free coordinates; those that are held count as zero."""
+        """Jacobian of the weighted residuals by the free coordinates, zero for held coordinates."""
         return self.jacobian_at(self.inner)
 
     def jacobian_at(self, inner: MarquardtState) -> BlockJacobian:
-        """The same where another point was evaluated."""
+        """Return the same Jacobian at another evaluated point."""
         whole = BlockJacobian.of(self.problem, inner.jacobian)
         return whole.scaled(np.asarray(self.active, dtype=float))
 
     @functools.cached_property
     def natural_jacobian(self) -> BlockJacobian:
-        """Weighted residuals by the parameters themselves."""
+        """Jacobian of the weighted residuals with respect to the parameters themselves."""
         slope = self.problem.bijector.slope(np.asarray(self.coordinate))
         return self.jacobian.scaled(1 / np.maximum(slope, 1e-300))
 
     def predicted_decrease(self) -> float:
-        """By how much the linear model would lower the cost with its best step within the bounds.
+        """Return the decrease of the cost that the linear model predicts for its best step.
 
-        A fit has converged where that is little, and this is how little it is.
+        The step stays within the bounds. A fit has converged if this decrease is small.
         """
         names = ("residual", "factor", "projected", "cost", "scale")
         parts: dict[str, Any] = {name: np.asarray(getattr(self.inner, name)) for name in names}
@@ -178,13 +187,13 @@ class FitState:
         return float(self.solver.explainable_norm(coordinate, options, inner, maths=np)) ** 2 / 2
 
     def residual_scale(self) -> float:
-        """The size of the residuals in units of their noise: the root of the reduced chi-square."""
-        # By numpy: each operation of JAX here would be a program of its own.
+        """Return the ratio of the residuals to their noise: the root of the reduced chi-square."""
+        # NumPy is used, because each operation of JAX would be a separate program.
         cost: Any = np.asarray(self.inner.cost)
         return float(residual_scale(dataclasses.replace(self.inner, cost=cost)))
 
     def recorded(self, *, accepted: bool) -> Self:
-        """With the present point as the last entry of the history."""
+        """Return the state with the current point as the last entry of the history."""
         iteration = Iteration(
             number=self.trials,
             cost=self.cost,
@@ -196,7 +205,7 @@ class FitState:
         return dataclasses.replace(self, history=(*self.history, iteration))
 
     def next_round(self) -> Self:
-        """With one estimation of the noise less."""
+        """Return the state with one noise estimate less remaining."""
         return dataclasses.replace(
             self,
             rounds_left=self.rounds_left - 1,
@@ -206,29 +215,29 @@ class FitState:
         )
 
     def ended(self, status: Status, message: str, reason: Reason) -> Self:
-        """The end of the fit."""
+        """Return the state at the end of the fit."""
         return dataclasses.replace(self, ending=(status, message, reason))
 
 
-# In the free coordinate: a positive parameter grows by less than a factor of 6 in one step, and far
-# above its start by less than 4.5.
+# Largest step in the free coordinate: a positive parameter grows by less than a factor of 6 in one
+# step, and by less than 4.5 if it is far above its initial value.
 _LARGEST_STEP = 1.5
 
-# Where an evaluation with derivatives takes longer than this, s, residuals without them are worth a
-# program of their own, which takes seconds to compile: at the end of a fit they are asked for
-# several times. The number of steps grows as tolerance^(-1/5) for a method of order 5; for others
-# that is a rough guess.
+# If an evaluation with derivatives takes longer than this, s, a separate program for residuals
+# alone is worthwhile. It takes seconds to compile, and is called several times at the end of a fit.
+# The number of steps grows as tolerance^(-1/5) for a method of order 5. For other methods that is a
+# rough approximation.
 _LONG_STEP, _ORDER = 1.0, 5
 
-_MANY_ROWS = 5_000  # with so many rows a step is known to be long before any was timed
+_MANY_ROWS = 5_000  # with more rows a step is long, even before the first one was timed
 
-# Where a fit begins that chooses its tolerance. Recordings with many rows tell more: a fit of them
-# would only find out, by two evaluations, that the first one is too coarse.
+# Initial tolerance of a fit that chooses its tolerance. Recordings with many rows contain more
+# information, and such a fit would only spend two evaluations to reject the coarser value.
 _COARSEST, _COARSEST_OF_MANY = 1e-5, 3e-6
 
 
 def begin(setup: Setup) -> FitState:
-    """The state before anything is evaluated."""
+    """Return the state before anything is evaluated."""
     setup = setup.at_start()
     model, parameters, layout = setup.model, setup.parameters, setup.layout
     noise = Noise.of(setup.runs, setup.settings.noise_model, per_run=setup.settings.noise_per_run)
@@ -239,12 +248,12 @@ def begin(setup: Setup) -> FitState:
             model, solver=None, tolerance=setup.suited or coarsest
         )
     own = own_start(batches, setup.runs, setup.own)
-    # Each value of a parameter, of which there is one for all runs or one for each group of them.
+    # Each parameter has one value for all runs or one for each group of runs.
     each = [p for p, places in zip(parameters, layout.places, strict=True) for _ in places]
     start = np.asarray([*setup.starts(), *own])
-    # Values of one path share a map, whose coordinates are those of its first value.
+    # Values of one path share a map, which is determined by the first value.
     first = [places[0] for places in layout.places for _ in places]
-    # A parameter whose start and default are zero has no size of its own: one unit.
+    # A parameter whose initial value and default are zero has a size of one unit.
     defaults = np.asarray([*(p.declaration.default for p in each), *(0.0 for _ in own)])
     sizes = np.maximum(np.abs(start), np.abs(defaults))
     sizes = np.where(sizes > 0, sizes, 1.0)
@@ -265,11 +274,12 @@ def begin(setup: Setup) -> FitState:
     )
     known = Priors.of(setup.priors, coordinate_paths(problem))
     problem = dataclasses.replace(problem, priors=known)
-    # In 32-bit the rounding of a simulation hides the last hundredth of a standard error.
+    # In 32 bit, the rounding of a simulation hides the last hundredth of a standard error.
     distance = 0.1 if jnp.result_type(float) == jnp.float32 else 0.01
     solver = Marquardt(
         distance=distance,
-        # Residuals of this norm, in units of the noise, move no parameter by more than that.
+        # Residuals with this norm, relative to the noise, move no parameter by more than
+        # `distance`.
         floor=distance**2 / 2,
         largest_step=_LARGEST_STEP,
     )
@@ -288,12 +298,12 @@ def begin(setup: Setup) -> FitState:
 
 
 def step(state: FitState) -> FitState:
-    """One trial step; at a point that was not evaluated yet, its evaluation."""
+    """Make one trial step. At a point that was not evaluated yet, evaluate it."""
     began = time.perf_counter()
     coordinate, inner, done, converged = stepped(
         state.solver, state.coordinate, state.problem, state.inner, state.active
     )
-    # Waits for the result, so that the time below is that of the step.
+    # Wait for the result, so that the time below is that of the step.
     finished, optimum = bool(done), bool(converged)
     return dataclasses.replace(
         state,
@@ -307,7 +317,7 @@ def step(state: FitState) -> FitState:
 
 
 def trial(state: FitState) -> FitState:
-    """One trial step, counted and recorded in the history."""
+    """Make one trial step, count it, and record it in the history."""
     tried = dataclasses.replace(step(state), trials=state.trials + 1)
     return tried.recorded(accepted=bool(tried.inner.accepted))
 
@@ -320,14 +330,14 @@ def move(state: FitState, coordinate: Any) -> FitState:
 
 
 def in_coordinates(state: FitState, bijector: Bijector) -> FitState:
-    """Continue from the same point in other coordinates; not evaluated yet."""
+    """Continue from the same point in other coordinates, without evaluating it."""
     coordinate = bijector.inverse(state.values())
     problem = dataclasses.replace(state.problem, bijector=bijector)
     return move(dataclasses.replace(state, problem=problem), coordinate)
 
 
 def counting(state: FitState, part: float) -> FitState:
-    """The same point with the first part of the rows of each run, which is not evaluated yet."""
+    """Continue with the first part of the rows of each run, without evaluating the point."""
     runs = state.setup.runs
     recorded = [run.observations for run in runs]
     batches = []
@@ -342,14 +352,14 @@ def counting(state: FitState, part: float) -> FitState:
 
 
 def reweight(state: FitState, noise: Noise) -> FitState:
-    """Continue from the same point with another noise; not evaluated yet."""
+    """Continue from the same point with different noise, without evaluating it."""
     runs = state.setup.runs
     batches = with_recorded(state.problem.batches, runs, noise, [run.observations for run in runs])
-    # Weights of cells take the place of a robust loss: whitened residuals are no single cells.
+    # Weights of cells replace a robust loss, because whitened residuals are not single cells.
     loss = state.setup.loss if noise.weights is None else Linear()
     problem = dataclasses.replace(state.problem, batches=batches, loss=loss)
     moved = move(dataclasses.replace(state, problem=problem, noise=noise), state.coordinate)
-    # The valley is nearly the same one: a fit that knew it keeps its long steps.
+    # The valley is almost the same, so a fit that has explored it keeps its long steps.
     before, anew = state.inner.damping, moved.inner.damping
     damping = on_device(np.minimum(np.asarray(before), np.asarray(anew)))
     return dataclasses.replace(
@@ -358,12 +368,12 @@ def reweight(state: FitState, noise: Noise) -> FitState:
 
 
 def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
-    """Continue from the same point with another tolerance, if any; not evaluated yet."""
+    """Continue from the same point at another tolerance, if any, without evaluating it."""
     if tolerance == state.tolerance:
         return state
     model = capabilities.with_integration(state.problem.model, solver=None, tolerance=tolerance)
     problem = dataclasses.replace(state.problem, model=model)
-    # Costs before it say nothing of those to come.
+    # Costs at the previous tolerance cannot be compared with later ones.
     state = dataclasses.replace(state, problem=problem, round_began=len(state.history))
     return move(state, state.coordinate)
 
@@ -371,9 +381,9 @@ def at_tolerance(state: FitState, tolerance: float | None) -> FitState:
 def evaluate(
     state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
 ) -> MarquardtState:
-    """The solver's state at a point, by the same compiled program as a step.
+    """Return the state of the solver at a point, with the same compiled program as a step.
 
-    Of several runs a `sample` has one or a few evaluated, and zeros for the others.
+    With `sample`, only one or a few of several runs are evaluated, and the others are zero.
     """
     coordinate = on_device(coordinate, state.coordinate.dtype)
     problem = state.problem if problem is None else problem
@@ -385,9 +395,10 @@ def evaluate(
 def residuals_at(
     state: FitState, coordinate: Any, problem: Problem | None = None, *, sample: bool = False
 ) -> Float[np.ndarray, " residual"]:
-    """Residuals at a point within the bounds, without derivatives where those take long.
+    """Return the residuals at a point within the bounds, without derivatives if these take long.
 
-    A `sample` is as of `evaluate`; NaN where the model cannot be evaluated.
+    `sample` has the same effect as in `evaluate`. The residuals are NaN if the model cannot be
+    evaluated.
     """
     problem = state.problem if problem is None else problem
     if _seconds(state, problem) < _LONG_STEP and not has_many_rows(state):
@@ -399,8 +410,8 @@ def residuals_at(
 
 
 def _seconds(state: FitState, problem: Problem) -> float:
-    """How long an evaluation with derivatives takes, by the last ones, at another tolerance."""
-    # The first one compiles, and one may have been held up.
+    """Return the expected time of an evaluation with derivatives at another tolerance, s."""
+    # The first evaluation includes compilation, and a later one may have been delayed.
     took = min(state.step_seconds[1:][-2:], default=0.0)
     finer = capabilities.integration(problem.model)
     if state.tolerance is None or finer is None or finer.tolerance is None:
@@ -409,7 +420,7 @@ def _seconds(state: FitState, problem: Problem) -> float:
 
 
 def has_many_rows(state: FitState) -> bool:
-    """Whether one of the recordings is so long that each evaluation counts."""
+    """Return whether a recording is so long that the number of evaluations matters."""
     return _have_many_rows(state.problem.batches)
 
 
@@ -417,17 +428,17 @@ def _have_many_rows(batches: Iterable[RunBatch]) -> bool:
     return any(batch.observed.shape[1] > _MANY_ROWS for batch in batches)
 
 
-# A state of a fit as plain data, from which the fit goes on bit for bit.
+# State of a fit as plain data, from which the fit continues with identical bits.
 #
-# Residual and Jacobian are not among them: the same compiled program computes them anew at the
-# same point. Python's JSON gives every float back as it was.
+# Residual and Jacobian are not stored, because the same compiled program recomputes them at the
+# same point. JSON in Python preserves every float exactly.
 
-# The numbers of the solver that its next step depends on, apart from what is evaluated anew.
+# Values of the solver on which its next step depends, apart from those that are recomputed.
 _SOLVER = ("damping", "growth", "scale", "step", "accepted", "detour", "finite", "evaluations")
 
-_STORED = {"finite": "sound"}  # their names in a journal, where they are others
+_STORED = {"finite": "sound"}  # names in a journal that differ from those of the attributes
 
-# Attributes of a state that a line has as they are.
+# Attributes of a state that are stored unchanged.
 _AS_THEY_ARE = ("part", "trials", "done", "converged", "rounds_left", "round_began", "ending")
 
 CHANGED = "the journal belongs to another fit, or one of its lines was changed"
@@ -435,16 +446,18 @@ CHANGED = "the journal belongs to another fit, or one of its lines was changed"
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KeptState:
-    """A state of a fit as a line of its journal has it; attributes of `FitState` where not said.
+    """State of a fit as a line of its journal. Other attributes are those of `FitState`.
 
     Attributes:
-        cost: shows whether this machine computes the same.
-        solver: numbers of the solver by name, those of `_SOLVER`.
-        tolerance: of the integration; None of a model without one, and of an earlier version.
-        distances: from the lower bounds, which make the coordinates (`Bijector.linear_within`);
-            None of an earlier version, whose coordinates are those of the start.
-        history, step_seconds: what has come since the line before.
-        seconds: that the fit has taken.
+        cost: cost, which shows whether this machine computes the same value.
+        solver: values of the solver by name, as in `_SOLVER`.
+        tolerance: tolerance of the integration, or None for a model without one, and for an earlier
+            version.
+        distances: distances from the lower bounds, which define the coordinates
+            (`Bijector.linear_within`). None for an earlier version, whose coordinates are those of
+            the start.
+        history, step_seconds: entries since the previous line.
+        seconds: elapsed time of the fit, s.
     """
 
     trials: int
@@ -467,23 +480,23 @@ class KeptState:
 
 
 class FitJournal(Protocol):
-    """Where a fit writes what it has reached, and finds the lines of before, oldest first."""
+    """Destination of the states of a fit, with the lines of an earlier call, oldest first."""
 
     @property
     def lines(self) -> Sequence[Mapping[str, Any]]: ...
 
     def append(self, line: Mapping[str, Any]) -> None:
-        """Keep one more line; it must not fail, because a fit does not end for that."""
+        """Store one more line. It must not fail, because a fit does not end for that reason."""
 
     def bits_differ(self) -> None:
-        """Called where a kept point has another cost now: the end may differ in its last digits."""
+        """Report that a stored point has another cost now, so the result may differ slightly."""
 
 
 def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
-    """The last state that a journal holds, evaluated again, and the seconds of the fit up to it.
+    """Return the last state in a journal, evaluated again, and the elapsed time of the fit, s.
 
     Raises:
-        InputError, ValueError, LookupError, TypeError: a line is not of this fit.
+        InputError, ValueError, LookupError, TypeError: a line does not belong to this fit.
     """
     if not journal.lines:
         return begun, 0.0
@@ -514,7 +527,7 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
 
 
 def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], float]) -> Callable:
-    """A function that writes each state that a fit reaches into its journal."""
+    """Return a function that writes each state of a fit to its journal."""
     shown, stepped = len(state.history), len(state.step_seconds)
 
     def keep(reached: FitState) -> None:
@@ -540,7 +553,7 @@ def journal_writer(state: FitState, journal: FitJournal, elapsed: Callable[[], f
 
 
 def _with_solver(inner: MarquardtState, stored: Mapping[str, Any]) -> MarquardtState:
-    """The solver's state with its stored numbers, in the types that the program is compiled for."""
+    """Return the solver state with its stored values, in the types of the compiled program."""
     values = []
     for name in _SOLVER:
         before = getattr(inner, name)

@@ -1,4 +1,4 @@
-"""What a fit left over: residuals, their noise, the verdict on them, and standard errors."""
+"""Residuals of a fit, their noise, the verdict on them, and standard errors."""
 
 import dataclasses
 from collections import Counter
@@ -31,14 +31,15 @@ from ._records import Status
 from ._steps import FitState
 from ._weights import Noise
 
-# What a fit left over: cell by cell, the noise that it shows, and the verdict on the fit.
+# Residuals of a fit by cell, the noise that they show, and the verdict on the fit.
 
 
 def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int, str], Cells]:
-    """The residuals of a state and their derivatives in SI, by number of the run and channel.
+    """Return the residuals and their derivatives in SI units, by position of the run and channel.
 
-    Without weights and not whitened. Coordinates that are held have no columns; those that one run
-    alone responds to are its own. `together`, every coordinate is a shared column, held ones too.
+    They are neither weighted nor whitened. Held coordinates have no columns. Coordinates that
+    affect only one run are its own columns. With `together`, every coordinate is a shared column,
+    including the held ones.
     """
     jacobian, active = state.jacobian, np.asarray(state.active)
     if together:
@@ -64,7 +65,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
             run = state.setup.runs[member]
             for at, name in enumerate(batch.channels):
                 measured = weight[:, at] > 0
-                # A last column of zeros stands for what the run does not respond to.
+                # A last column of zeros represents coordinates that do not affect the run.
                 columns_at = np.pad(block[measured, at], ((0, 0), (0, 1)))
                 cells[member, name] = Cells(
                     key=state.noise.keys[member][name],
@@ -79,7 +80,7 @@ def residual_cells(state: FitState, *, together: bool = False) -> dict[tuple[int
 
 
 def prior_gram(state: FitState) -> np.ndarray:
-    """X^T X of the rows of priors, by the shared columns of `residual_cells` and the residual."""
+    """Return X^T X of the rows of priors, for the shared columns and the residual."""
     common, _ = shared_and_own(state)
     count, columns = len(state.problem.priors.columns), state.problem.priors.columns
     rows = np.zeros((count, len(common) + 1))
@@ -87,14 +88,17 @@ def prior_gram(state: FitState) -> np.ndarray:
         slopes = np.diag(state.jacobian.blocks[-1])
         residual = np.asarray(state.inner.residual)[-count:]
         for row, column, slope, value in zip(rows, columns, slopes, residual, strict=True):
-            # What is held stays as far off whatever the others do.
+            # The residual of a held parameter does not depend on the others.
             if column in common:
                 row[common.index(column)], row[-1] = slope, value
     return np.asarray(rows.T @ rows)
 
 
 def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
-    """Positions of the coordinates that move: shared ones; of single runs, without a prior."""
+    """Return the positions of the shared active coordinates and of those of single runs.
+
+    A coordinate of a single run with a prior is shared.
+    """
     active = np.asarray(state.active)
     count = Counter(int(c) for columns in state.jacobian.columns for c in columns)
     several = len(state.setup.runs) > 1
@@ -102,31 +106,33 @@ def shared_and_own(state: FitState) -> tuple[list[int], set[int]]:
     return [c for c in range(state.problem.size) if active[c] and c not in mine], mine
 
 
-# The noise that the residuals of a fit show, where no sidecar states it.
+# Noise estimated from the residuals of a fit, if no sidecar specifies it.
 
-# Residuals below this part of the largest recorded value are what a solver's tolerance leaves.
+# Residuals below this fraction of the largest recorded value are due to the solver tolerance.
 TOLERANCE = 1e-5
 
-_SETTLED = 0.1  # twice the gain in log-likelihood below which another noise is the same one
+_SETTLED = 0.1  # twice the gain in log-likelihood below which the noise has not changed
 
-# Change of a robust deviation, in its logarithm, and mean change of weights, likewise.
+# Smallest change of the logarithm of a robust deviation, and smallest mean change of the weights,
+# that count as a change.
 _SAME_DEVIATION = 0.05
 _SAME_WEIGHT = 0.01
 
 
 def reestimate(state: FitState) -> Noise:
-    """The noise to fit with next: the same where no channel changes by what a fit would notice."""
+    """Return the noise for the next fit, unchanged if no channel changes noticeably."""
     noise = state.noise
     if noise.complete and not noise.correlated:
         return noise
     cells = residual_cells(state)
     perfect, robust = _perfect(cells, state.setup.runs), not state.setup.loss.is_linear
     if perfect and (noise.estimated or robust):
-        # What rounding leaves has no size to be estimated again.
+        # Rounding errors have no size to be estimated again.
         return dataclasses.replace(noise, estimated=not noise.complete)
     if robust:
         return _among_outliers(noise, cells, state.setup.runs, state.setup.loss)
-    # Without the priors: one that is wrong would pass for noise that is correlated for long.
+    # The priors are omitted, because a wrong prior would look like noise with a long correlation
+    # time.
     before = Restricted.of(list(cells.values()), noise.by_key())
     after = estimate(before, noise.stated_by_key(), correlated=noise.correlated and not perfect)
     if _gain(before, after) < _SETTLED:
@@ -135,7 +141,7 @@ def reestimate(state: FitState) -> Noise:
 
 
 def _perfect(cells: dict[tuple[int, str], Cells], runs: Sequence[Run]) -> bool:
-    """Whether nothing is left but what the tolerance of a solver leaves."""
+    """Return whether all residuals are within the tolerance of the solver."""
     return all(
         np.max(np.abs(each.residual), initial=0.0)
         <= TOLERANCE * np.nanmax(np.abs(runs[run].observations[name]))
@@ -151,7 +157,7 @@ def _gain(before: Restricted, after: Restricted) -> float:
 def _among_outliers(
     noise: Noise, cells: dict[tuple[int, str], Cells], runs: Sequence[Run], loss: AbstractLoss
 ) -> Noise:
-    """The noise by robust statistics; correlated, each cell gets a weight of its own."""
+    """Return the noise by robust statistics, with a weight for each cell if it is correlated."""
     stated, old = noise.stated_by_key(), noise.by_key()
     sizes = {
         key: each.times(robust_deviation(np.concatenate(residuals)) / each.deviation)
@@ -164,7 +170,7 @@ def _among_outliers(
         weights = {
             at: outlier_weights(each, sizes[each.key], loss.weights) for at, each in cells.items()
         }
-        # An outlier is no noise: it has no part in its size, only little in the fit.
+        # An outlier is not noise. It does not affect its size, and has little effect on the fit.
         least = loss.outlier_weight
         inliers = [each.where(weights[at] > least) for at, each in cells.items()]
         before = Restricted.of(inliers, sizes)
@@ -184,7 +190,7 @@ def _weighted(
     gain: float,
     after: Restricted,
 ) -> Noise:
-    """Correlated noise, and with the weight of each cell at its sample."""
+    """Return correlated noise, with the weight of each cell at its sample."""
     placed: list[dict[str, np.ndarray]] = [{} for _ in noise.keys]
     changes = []
     for (run, name), of_cells in weights.items():
@@ -199,7 +205,7 @@ def _weighted(
 
 
 def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) -> Verdict:
-    """Whether the model describes the data, at the best point of the fit."""
+    """Return whether the model describes the data at the best point of the fit."""
     series = residual_series(state, prior_degrees_of_freedom) if state.evaluated else []
     found = Verdict("adequate")
     if series:
@@ -212,7 +218,7 @@ def verdict(state: FitState, status: Status, prior_degrees_of_freedom: float) ->
 
 
 def residual_series(state: FitState, prior_degrees_of_freedom: float) -> list[Series]:
-    """The residuals of each channel of each run; those of a perfect description are left out."""
+    """Return the residuals of each channel of each run, except for perfect descriptions."""
     runs = state.setup.runs
     predictions = predictions_by_run(state.problem, state.inner.aux, runs)
     cells = sum(int(np.sum(~np.isnan(v))) for run in runs for v in run.observations.values())
@@ -241,7 +247,16 @@ def series_of(
     *,
     lost: float,
 ) -> Series:
-    """Residuals (SI) of a channel of a run, `lost` degrees of freedom less, and known noise."""
+    """Return the residuals (SI units) of a channel of a run with their known noise.
+
+    Arguments:
+        state: state of the fit.
+        number: position of the run.
+        name: name of the channel.
+        residual: residuals.
+        times: times of the residuals, or None.
+        lost: number of degrees of freedom that the fit used.
+    """
     noise = state.noise
     return Series(
         run=state.setup.runs[number].name,
@@ -255,25 +270,27 @@ def series_of(
     )
 
 
-# For a change of a parameter by its own size, in units of the noise: alone, the parameter would
-# have a standard error of a million times itself.
+# Smallest response to a change of a parameter by its own size, divided by the noise. Below it, the
+# standard error of the parameter alone would exceed a million times its value.
 _NO_RESPONSE = 1e-6
 
-# Residuals of so many times the noise are of a model that does not describe the data: neither more
-# iterations nor a prior change that.
+# Ratio of the residuals to the noise above which the model does not describe the data. Neither more
+# iterations nor a prior can change that.
 FAR_OFF = 5.0
 
 
-# Differences from sample to sample make noise with a memory too small, of a correlation of 0.8
-# between neighbours by this factor: with it, one of 0.98 is not yet a model that fails.
+# Differences between neighbouring samples underestimate correlated noise, by this factor at a
+# correlation of 0.8 between neighbours. With this factor, noise with a correlation of 0.98 does not
+# yet count as a failure of the model.
 _WITH_MEMORY = 2.5
 
 
 def times_white_noise(state: FitState) -> float:
-    """The size of the residuals over white noise; that of the fit may hold what the model lacks.
+    """Return the ratio of the residuals to white noise.
 
-    Of noise that is not stated, they are measured by as much as it may be with a memory; and where
-    outliers do not count in full, without them.
+    The noise of the fit may include effects that the model omits. If the noise is not specified,
+    the residuals are divided by the largest white noise that a correlation allows. With a robust
+    loss, outliers are omitted.
     """
     squares, count, robust = 0.0, 0, not state.setup.loss.is_linear
     for each in residual_series(state, 0.0):
@@ -284,7 +301,7 @@ def times_white_noise(state: FitState) -> float:
             white = min(_WITH_MEMORY * white, max(each.adopted, white))
         rest = each.residual
         if robust and len(rest):
-            # Outliers are few: where most cells are far off, they are what the model lacks.
+            # Outliers are rare. If most cells are far off, the model omits an effect.
             usual = max(each.adopted, robust_deviation(rest))
             rest = rest[np.abs(rest) <= OUTLIER * usual]
         squares += float(np.sum((rest / white) ** 2))
@@ -292,29 +309,31 @@ def times_white_noise(state: FitState) -> float:
     return float(np.sqrt(squares / max(count, 1)))
 
 
-# Column-normalised singular value below which a combination of parameters is not determined.
+# Singular value, for normalised columns, below which a combination is not determined.
 COLLINEAR = 1e-6
 
 
 def responds(norms: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Which parameters any channel responds to.
+    """Return whether any channel responds to each parameter.
 
-    By norms of the columns of the Jacobian by the parameters themselves, not by the free
-    coordinates, which have sizes of their own; and by the typical size of each.
+    Arguments:
+        norms: norms of the columns of the Jacobian with respect to the parameters themselves. The
+            free coordinates have different sizes.
+        sizes: typical sizes of the parameters.
     """
     return norms * sizes > _NO_RESPONSE
 
 
 def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
-    """Groups of parameters (columns of a Jacobian or its R) of which combinations are determined.
+    """Return groups of parameters (columns of a Jacobian or its R) with undetermined combinations.
 
-    Each right singular vector of the column-normalised Jacobian with a vanishing singular value is
-    a direction that leaves every channel unchanged; the parameters in it belong together.
+    A right singular vector of the column-normalised Jacobian with a vanishing singular value is a
+    direction that leaves every channel unchanged. The parameters in it form a group.
     """
     if jacobian.shape[1] < 2:
         return []
     norms = np.linalg.norm(jacobian, axis=0)
-    # What no channel responds to has a group of its own.
+    # A parameter to which no channel responds forms its own group.
     scaled = jacobian / np.where(norms > 0, norms, 1.0)
     _, singular, right = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
     vectors = right[singular <= COLLINEAR * singular[0]]
@@ -322,7 +341,7 @@ def undetermined_groups(jacobian: np.ndarray) -> list[list[int]]:
 
 
 def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tuple[int, float]]:
-    """For each parameter, the partner it is most correlated with, where that exceeds a limit."""
+    """Return the partner with the largest correlation for each parameter, if it exceeds a limit."""
     partners = {}
     off = np.abs(correlation - np.diag(np.diag(correlation)))
     for i in range(len(correlation)):
@@ -332,17 +351,19 @@ def largest_correlations(correlation: np.ndarray, limit: float) -> dict[int, tup
     return partners
 
 
-# Fraction of residuals within the corner of a robust loss below which its covariance is noise.
+# If the fraction of residuals within the corner of a robust loss is smaller, its covariance is
+# useless.
 _FEW = 0.1
 
 
 class Uncertainty(NamedTuple):
-    """Covariance of the parameters and what scaled it.
+    """Covariance of the parameters and its scale.
 
     Attributes:
-        scale: factor on the covariance, 1 unless the residuals exceed the stated noise.
-        as_stated: the covariance were the noise as it is stated.
-        bread: inverse of the second derivative of the cost, as Gauss and Newton have it.
+        covariance: covariance of the parameters.
+        scale: factor on the covariance, 1 unless the residuals exceed the specified noise.
+        as_stated: covariance for the specified noise.
+        bread: inverse of the second derivative of the cost, in the Gauss-Newton approximation.
     """
 
     covariance: np.ndarray
@@ -362,47 +383,48 @@ def uncertainty(
     known: float = 0.0,
     scaled: bool = True,
 ) -> Uncertainty:
-    """Covariance of least-squares and M-estimates.
+    """Return the covariance of least-squares and M-estimates.
 
-    Linear loss: (J^T J)^-1, times the reduced chi-square where that is above 1, because then the
-    stated noise does not cover the residuals (the scale factor of the Particle Data Group). Robust
-    losses: the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B = sum psi^2 j j^T (Huber 1981,
-    ch. 6), which needs no further scale. What the residuals say of the noise says nothing of a
-    prior: in either, its rows keep the variance that they state.
+    For the linear loss it is (J^T J)^-1, multiplied by the reduced chi-square if that exceeds 1,
+    because the specified noise then does not cover the residuals (the scale factor of the Particle
+    Data Group). For robust losses it is the sandwich A^-1 B A^-1 with A = sum psi' j j^T and B =
+    sum psi^2 j j^T (Huber 1981, ch. 6), which needs no further scale. The residuals do not change
+    the variance of a prior: in both cases, the rows of priors keep their specified variance.
 
     Arguments:
-        residual: weighted, whitened residuals before the loss transforms them, shape (residual,).
-        jacobian: derivative of the transformed residuals by the parameters.
-        loss: how large residuals count.
-        measured: which residuals stand for a measured cell, shape (residual,).
-        columns: the parameters that the covariance is for.
-        priors: how many of the last rows are those of priors, which no loss transforms.
-        known: how many of the parameters' degrees of freedom the priors know.
-        scaled: whether residuals beyond the noise scale the covariance; not where cells have
-            weights, because outliers are in the residuals still.
+        residual: weighted, whitened residuals before the loss, shape (residual,).
+        jacobian: derivative of the transformed residuals with respect to the parameters.
+        loss: loss function.
+        measured: which residuals belong to a measured cell, shape (residual,).
+        columns: parameters for which the covariance is computed.
+        priors: number of last rows that belong to priors, which no loss transforms.
+        known: number of degrees of freedom of the parameters that the priors determine.
+        scaled: whether residuals that exceed the noise scale the covariance. It must be false if
+            cells have weights, because the residuals still include outliers.
     """
     data = np.arange(len(residual)) < len(residual) - priors
     count, size = int(np.sum(measured & data)), len(columns)
-    # How far a prior is off says nothing of the noise.
+    # The residual of a prior contains no information on the noise.
     degrees_of_freedom = max(count - (size - known), 1)
     reduced = float(np.sum(residual[measured & data] ** 2) / degrees_of_freedom)
     _, psi, curvature, slope = loss.scores(residual)
 
     def root_of_gram(weights: np.ndarray | float) -> np.ndarray:
-        # Unmeasured cells have zero rows; their slope is that of a residual of zero.
+        # Unmeasured cells have zero rows. Their slope is that of a zero residual.
         return jacobian.reduced(np.where(data, untransformed(weights, slope), 1.0))[:, columns]
 
     plain = root_of_gram(1.0)
     mean_curvature = float(np.mean(curvature[measured & data])) if count else 1.0
     if loss.is_linear or mean_curvature < _FEW:
-        # With a robust loss: almost every residual is an outlier, and the sandwich has no bread.
+        # With a robust loss, almost every residual is an outlier, so the inverse curvature is
+        # undefined.
         scale = max(1.0, reduced) if scaled else 1.0
         bread = inverse_gram(plain)
         if not priors or scale == 1:
             return Uncertainty(bread * scale, scale, bread, bread)
         root = root_of_gram(np.sqrt(scale))
         return Uncertainty(bread @ (root.T @ root) @ bread, scale, bread, bread)
-    # A residual beyond the corner of the loss has no curvature; the mean keeps A positive.
+    # A residual beyond the corner of the loss has no curvature. The mean keeps A positive.
     bread = inverse_gram(root_of_gram(np.sqrt(mean_curvature)))
     root = root_of_gram(psi * np.sqrt(count / degrees_of_freedom))
     covariance = bread @ (root.T @ root) @ bread
@@ -412,11 +434,11 @@ def uncertainty(
 def reduced_chi_square(
     residual: np.ndarray, *, loss: AbstractLoss, measured: np.ndarray, parameters: float
 ) -> float:
-    """Squared residuals over the noise, per degree of freedom.
+    """Return the sum of squared residuals, divided by the noise variance, per degree of freedom.
 
-    With a robust loss that of psi, whose mean square over normal noise is taken for 1, so that a
-    few outliers are not taken for more noise (Huber 1981, section 7.6). `parameters` are the number
-    of fitted ones, less what priors know of them.
+    For a robust loss psi replaces the residual. Its mean square for normal noise is scaled to 1, so
+    that a few outliers do not count as larger noise (Huber 1981, section 7.6). `parameters` is the
+    number of fitted parameters, minus the part that priors determine.
     """
     psi = loss.scores(residual[measured]).psi
     degrees_of_freedom = max(int(np.sum(measured)) - parameters, 1)
@@ -424,7 +446,7 @@ def reduced_chi_square(
 
 
 def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
-    """Correlations of a covariance; NaN where a variance is not finite."""
+    """Return the correlations of a covariance, NaN where a variance is not finite."""
     deviations = np.sqrt(np.diag(covariance))
     with np.errstate(all="ignore"):
         correlation = covariance / np.outer(deviations, deviations)
@@ -432,10 +454,11 @@ def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
 
 
 def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
-    """(J^T J)^-1 of a matrix J, or its R, by QR with scaled columns: the condition is not squared.
+    """Return (J^T J)^-1 of a matrix J, or of its R, by QR with scaled columns.
 
-    Directions that leave the residuals unchanged are left out: what takes no part in them keeps its
-    own variance, and the others have none that means anything.
+    This does not square the condition number. Directions that leave the residuals unchanged are
+    omitted. Parameters outside these directions keep their variance, and the variances of the
+    others are meaningless.
     """
     if jacobian.shape[1] == 0:
         return np.zeros((0, 0))
@@ -446,21 +469,21 @@ def inverse_gram(jacobian: np.ndarray) -> np.ndarray:
     return inverse @ inverse.T
 
 
-# What estimated and correlated noise make of standard errors.
+# Effect of estimated and correlated noise on standard errors.
 
-# With more parameters than this (the initial states of many windows) the noise is known well, and
-# what its errors add is not worth the time.
+# With more parameters (such as initial states of many windows) the noise is known well, and its
+# uncertainty is not worth the computing time.
 _MANY = 120
 
 
 class NoiseStatistics(NamedTuple):
-    """What the noise makes of the errors of the parameters that respond.
+    """Effect of the noise on the errors of the parameters to which channels respond.
 
     Attributes:
-        covariance: with what the errors of the noise add.
-        degrees_of_freedom: of Student's t.
-        sandwich: standard errors that hold whatever the noise model leaves out.
-        widening: standard errors over those of white noise of the same size.
+        covariance: covariance including the uncertainty of the noise.
+        degrees_of_freedom: degrees of freedom of Student's t.
+        sandwich: standard errors that remain valid if the noise model is wrong.
+        widening: standard errors divided by those for white noise of the same size.
     """
 
     covariance: Float[np.ndarray, "parameter parameter"]
@@ -470,7 +493,7 @@ class NoiseStatistics(NamedTuple):
 
 
 def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) -> NoiseStatistics:
-    """The statistics of a fit whose noise was estimated, or is correlated."""
+    """Return the statistics of a fit whose noise was estimated or is correlated."""
     infinite = np.full(len(alive), np.inf)
     if not state.problem.loss.is_linear or not 0 < len(alive) <= _MANY:
         return NoiseStatistics(spread.covariance, infinite, None, None)
@@ -482,7 +505,7 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
         dense_cells(weighted_cells(state, at, each), alive, slope)
         for at, each in residual_cells(state, together=True).items()
     ]
-    # Outliers have no part in what is known of the noise.
+    # Outliers do not contribute to the information on the noise.
     least = state.setup.loss.outlier_weight
     inliers = [each.where(each.weights > least) for each in dense]
     prior, off = prior_rows(state, alive)
@@ -492,7 +515,7 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     with np.errstate(divide="ignore", invalid="ignore"):
         wider = np.sqrt(np.diag(small.covariance) / np.diag(covariance))
     larger = spread.covariance * np.outer(wider, wider)
-    # What a prior says has the variance that it states, whatever the noise is.
+    # Priors have their specified variance, independent of the noise.
     scores = score_covariance(dense, by_key, covariance)
     sandwich = np.sqrt(np.diag(scores + covariance @ prior.T @ prior @ covariance))
     if noise.is_white:
@@ -508,14 +531,15 @@ def noise_statistics(state: FitState, alive: np.ndarray, spread: Uncertainty) ->
     return NoiseStatistics(larger, small.degrees_of_freedom, sandwich, widening)
 
 
-# Of a record: noise with such a memory cannot be told from a model that drifts away from the data.
+# Fraction of a record. Noise with a longer correlation time cannot be distinguished from a drift
+# between model and data.
 _TREND = 0.5
 
 
 def trends(state: FitState) -> list[str]:
-    """Channels whose noise was found to be correlated over so much of a record that it is a trend.
+    """Return the channels whose estimated noise is a trend: its correlation time is long.
 
-    It makes no error smaller: nothing shows that what is missing stays as it is.
+    A trend does not reduce a standard error, because the missing effect may not stay constant.
     """
     found: dict[str, None] = {}
     for run, values, stated in zip(
@@ -533,7 +557,7 @@ def trends(state: FitState) -> list[str]:
 def prior_rows(
     state: FitState, alive: np.ndarray
 ) -> tuple[Float[np.ndarray, "prior parameter"], Float[np.ndarray, " prior"]]:
-    """The rows that are those of priors, by the parameters that respond, and their residuals."""
+    """Return the rows of the priors, for the parameters with a response, and their residuals."""
     count, columns = len(state.problem.priors.columns), list(state.problem.priors.columns)
     rows = np.zeros((count, state.problem.size))
     if count:
@@ -542,12 +566,12 @@ def prior_rows(
 
 
 def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
-    """Cells with the weights that robust statistics left them."""
+    """Return cells with their weights from robust statistics."""
     if state.noise.weights is None:
         return cells
     run, name = at
     weights = state.noise.weights[run][name]
-    # As in `residual_cells`: a problem may leave out what its runs recorded.
+    # As in `residual_cells`, a problem may omit recorded cells of its runs.
     batch = next(each for each in state.problem.batches if run in each.members)
     row, column = batch.members.index(run), batch.channels.index(name)
     counts = np.asarray(batch.weight)[row, : len(weights), column] > 0
@@ -555,22 +579,23 @@ def weighted_cells(state: FitState, at: tuple[int, str], cells: Cells) -> Cells:
 
 
 def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
-    """With the columns of the parameters that respond, by the parameters themselves."""
+    """Return cells with derivatives with respect to the parameters with a response."""
     columns = cells.shared[:, alive] / np.maximum(slope[alive], 1e-300)
     return dataclasses.replace(cells, shared=columns)
 
 
 Sources = Mapping[str, float | None]
-"""By recording, how many times larger a standard error would be; None: there would be none."""
+"""Factor on a standard error without each recording; None if it could not be determined."""
 
 
 def sources(
     state: FitState, jacobian: BlockJacobian, alive: np.ndarray
 ) -> dict[int, dict[str, float | None]]:
-    """What each recording is worth for what several of them determine together.
+    """Return the contribution of each recording to the parameters that several determine together.
 
-    By position of a parameter, by recording, as `Sources`; to first order at the optimum, with
-    fixed noise found: nothing is fitted again. Empty for a fit of one recording.
+    The result is a mapping by position of the parameter and by recording, as in `Sources`. It is
+    computed to first order at the optimum with the noise unchanged, without another fit. It is
+    empty for a fit of one recording.
     """
     problem = state.problem
     members = [member for batch in problem.batches for member in batch.members]
@@ -587,7 +612,7 @@ def sources(
     known = _variances(whole, norms)
     found: dict[int, dict[str, float | None]] = {int(index): {} for index in common}
     for name in dict.fromkeys(names):
-        # What priors say comes last, and is there whichever recording is not.
+        # The rows of the priors come last, and are always included.
         rest = [t for i, t in enumerate(triangles) if i >= len(names) or names[i] != name]
         left = _variances(_triangle(rest), norms)
         for column, index in enumerate(common.tolist()):
@@ -598,7 +623,7 @@ def sources(
 
 
 def _names(runs: Sequence[Run]) -> list[str]:
-    """Of the recording of each run; of files of the same name their paths."""
+    """Return the name of the recording of each run, or its path if files have the same name."""
     paths: dict[str, set[str]] = {}
     for run in runs:
         paths.setdefault(run.recording, set()).add(str(run.path))
@@ -608,7 +633,7 @@ def _names(runs: Sequence[Run]) -> list[str]:
 def _of_shared(
     block: np.ndarray, columns: np.ndarray, common: np.ndarray, own: np.ndarray
 ) -> np.ndarray:
-    """What the rows of a run say of the common parameters, once its own ones fit as they like."""
+    """Return the rows of a run on the common parameters after elimination of its own parameters."""
     alone, shared = np.isin(columns, own), np.isin(columns, common)
     triangle = _triangle([block[:, alone], block[:, shared]], axis=1)
     left = triangle[int(alone.sum()) :, int(alone.sum()) :]
@@ -618,13 +643,13 @@ def _of_shared(
 
 
 def _triangle(parts: Sequence[np.ndarray], axis: int = 0) -> np.ndarray:
-    """R of the QR factorisation, square also where there are fewer rows."""
+    """Return R of the QR factorisation, square even if there are fewer rows."""
     triangle = np.asarray(np.linalg.qr(np.concatenate(parts, axis=axis), mode="r"))
     return np.pad(triangle, ((0, triangle.shape[1] - len(triangle)), (0, 0)))
 
 
 def _variances(root: np.ndarray, norms: np.ndarray) -> dict[int, float]:
-    """Variances by column of what R determines; `norms` are those of all rows together."""
+    """Return the variances that R determines, by column. `norms` are those of all rows."""
     moves = np.flatnonzero(np.linalg.norm(root, axis=0) > COLLINEAR * norms)
     loose = {i for group in undetermined_groups(root[:, moves]) for i in group}
     variances = np.diag(inverse_gram(root[:, moves]))

@@ -1,4 +1,4 @@
-"""What residuals are weighted with: noise and whitening; and priors as rows of their own."""
+"""Weights of residuals: noise, whitening, and priors as additional rows."""
 
 import dataclasses
 import math
@@ -20,16 +20,16 @@ from ._coordinates import Bijector
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Noise of each channel of each run, SI.
+    """Noise of each channel of each run, in SI units.
 
     Attributes:
-        stated: what the sidecar of each run says, by channel.
-        values: what the channels are weighted with.
-        keys: of each channel of each run: those of the same key have the same noise.
+        stated: noise that the sidecar of each run specifies, by channel.
+        values: noise with which the channels are weighted.
+        keys: key of each channel of each run. Channels with the same key have the same noise.
         correlated: whether noise may be correlated.
-        weights: what robust statistics leave of each sample, by channel; None where outliers
-            are not weighted that way.
-        estimated: whether what the sidecars leave out comes from the residuals of a fit.
+        weights: weight of each sample from robust statistics, by channel, or None if outliers are
+            not weighted in this way.
+        estimated: whether noise that the sidecars do not specify was estimated from residuals.
     """
 
     stated: tuple[Mapping[str, Stated], ...]
@@ -41,15 +41,15 @@ class Noise:
 
     @classmethod
     def of(cls, runs: Sequence[Run], model: NoiseModel = "correlated", *, per_run: bool) -> Self:
-        """What the sidecars say; else white, from the differences of neighbouring samples.
+        """Return the specified noise, or white noise from differences of neighbouring samples.
 
-        A channel has the same noise in all runs, or one in each (`per_run`).
+        A channel has the same noise in all runs, or separate noise in each run (`per_run`).
         """
         stated = tuple({name: _stated(run, name) for name in run.observations} for run in runs)
         several = len({run.model for run in runs}) > 1
         keys = tuple(
             {
-                # A load cell of a joint's bench is not that of a stand for muscles.
+                # A load cell of a joint test bench differs from that of a muscle test stand.
                 name: _key(f"{run.model} {name}" if several else name, number, known, per_run)
                 for name, known in of_run.items()
             }
@@ -71,21 +71,21 @@ class Noise:
 
     @property
     def complete(self) -> bool:
-        """Whether the sidecars say the size of all of it."""
+        """Whether the sidecars specify the size of all noise."""
         return all(s.deviation is not None for of_run in self.stated for s in of_run.values())
 
     @property
     def is_white(self) -> bool:
-        """Whether no channel's noise is correlated."""
+        """Whether the noise of every channel is uncorrelated."""
         return not any(noise.correlated for of_run in self.values for noise in of_run.values())
 
     def by_key(self) -> dict[str, ChannelNoise]:
-        """The noise of each key."""
+        """Return the noise of each key."""
         pairs = zip(self.keys, self.values, strict=True)
         return {keys[name]: noise for keys, of_run in pairs for name, noise in of_run.items()}
 
     def stated_by_key(self) -> dict[str, Stated]:
-        """What is known beforehand of each key."""
+        """Return the specified noise of each key."""
         pairs = zip(self.keys, self.stated, strict=True)
         return {keys[name]: known for keys, of_run in pairs for name, known in of_run.items()}
 
@@ -94,12 +94,12 @@ class Noise:
         by_key: Mapping[str, ChannelNoise],
         weights: tuple[Mapping[str, np.ndarray], ...] | None = None,
     ) -> Self:
-        """With the noise that a fit showed."""
+        """Return this noise with the values estimated by a fit."""
         values = tuple({name: by_key[key] for name, key in names.items()} for names in self.keys)
         return dataclasses.replace(self, values=values, weights=weights, estimated=True)
 
     def kept(self) -> "KeptNoise":
-        """What a fit changes of it."""
+        """Return the part of the noise that a fit changes."""
         weights = self.weights
         return KeptNoise(
             estimated=self.estimated,
@@ -110,7 +110,7 @@ class Noise:
         )
 
     def again(self, kept: "KeptNoise") -> Self:
-        """The noise that was kept."""
+        """Return the noise with a stored part restored."""
         weights = kept.weights
         return dataclasses.replace(
             self,
@@ -124,7 +124,7 @@ class Noise:
 
 @dataclasses.dataclass(frozen=True)
 class KeptNoise:
-    """What a fit changes of its noise, as its journal has it: attributes of `Noise`."""
+    """Part of the noise that a fit changes, as stored in its journal: attributes of `Noise`."""
 
     estimated: bool
     values: tuple[dict[str, ChannelNoise], ...]
@@ -136,7 +136,7 @@ def _stated(run: Run, name: str) -> Stated:
 
 
 def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
-    """Runs that state different noise, or none, do not share what is not stated either."""
+    """Return a key. Runs with different specifications do not share unspecified noise either."""
     said = (
         ""
         if stated.deviation is None
@@ -145,19 +145,21 @@ def _key(name: str, number: int, stated: Stated, per_run: bool) -> str:
     return f"{name}{said}" + (f" of run {number}" if per_run else "")
 
 
-# Correlated residuals made independent, by a pass over the samples of each run.
+# Correlated residuals are whitened by one pass over the samples of each run.
 #
-# It is a Kalman filter whose gains depend on the noise alone, and so a linear map of the
-# residuals: whitened residuals and a whitened Jacobian make generalised least squares of least
+# The pass is a Kalman filter whose gains depend only on the noise, so it is a linear map of the
+# residuals. Least squares of whitened residuals, with a whitened Jacobian, are generalised least
 # squares.
 
 
 class Whitening(eqx.Module):
-    """The gains of a run, or of several along a first axis, for residuals over their deviation.
+    """Whitening gains of one run, or of several along a first axis, for normalised residuals.
 
-    `keep` and `gain` are what of the correlated part and of the cell goes on to the next sample;
-    `scale` the deviation of a cell over that of what the cells before it do not predict; 0 where a
-    cell is not measured.
+    Attributes:
+        keep: part of the correlated noise that is passed on to the next sample.
+        gain: part of the cell that is passed on to the next sample.
+        scale: standard deviation of a cell, divided by its standard deviation given the earlier
+            cells. It is 0 where a cell is not measured.
     """
 
     keep: Float[Array, "*run sample channel"]
@@ -172,9 +174,13 @@ class Whitening(eqx.Module):
         weights: Mapping[str, Float[np.ndarray, " sample"]],
         length: int | None = None,
     ) -> Self:
-        """The gains of a run, by the weights of its cells, 0 where not measured.
+        """Return the gains of a run.
 
-        And zeros for further samples, up to a `length`.
+        Arguments:
+            noise: noise of each channel.
+            times: times of the samples, s.
+            weights: weights of the cells, 0 where not measured.
+            length: number of samples. Additional samples have zero gains.
         """
         parts = []
         for name, of_channel in noise.items():
@@ -182,7 +188,8 @@ class Whitening(eqx.Module):
             scale = np.where(weights[name] > 0, of_channel.deviation / deviation, 0.0)
             parts.append((keep, gain, scale))
         more = 0 if length is None else length - len(times)
-        # By numpy: each shape would be a program of its own, compiled before the fit begins.
+        # NumPy is used, because with JAX each shape would be a program to compile before the fit
+        # begins.
         leaves = [
             on_device(np.pad(np.stack(part, axis=-1), ((0, more), (0, 0))))
             for part in zip(*parts, strict=True)
@@ -190,11 +197,11 @@ class Whitening(eqx.Module):
         return cls(*leaves)
 
     def of_run(self, row: int) -> Self:
-        """The gains of one of several runs."""
+        """Return the gains of one of several runs."""
         return jax.tree.map(lambda leaf: np.asarray(leaf)[row], self)
 
     def apply(self, rows: Float[Array, "residual column"]) -> Float[Array, "residual column"]:
-        """Columns over the cells of a run, sample by sample, made independent."""
+        """Whiten columns over the cells of a run, sample by sample."""
         samples, channels = self.keep.shape
         cells = rows.reshape(samples, channels, -1)
 
@@ -207,13 +214,13 @@ class Whitening(eqx.Module):
             start = jnp.zeros(cells.shape[1:], cells.dtype)
             return jax.lax.scan(step, start, (cells, self.keep, self.gain, self.scale))[1]
 
-        # White noise has nothing to pass on.
+        # White noise passes nothing on.
         idle = jnp.all((self.gain == 0) & ((self.scale == 0) | (self.scale == 1)))
         white = jax.lax.cond(idle, lambda cells: cells, through, cells)
         return white.reshape(rows.shape)
 
     def undone(self, rows: Float[np.ndarray, "residual column"]) -> np.ndarray:
-        """The columns before `apply`; cells that are not measured are zero."""
+        """Return the columns before `apply`. Cells that are not measured are zero."""
         keep, gain, scale = (np.asarray(leaf) for leaf in (self.keep, self.gain, self.scale))
         cells = np.asarray(rows).reshape(*keep.shape, -1)
         result = np.empty_like(cells)
@@ -229,10 +236,10 @@ Rows = Float[Array, " prior"]
 
 
 class Priors(eqx.Module):
-    """What is known of some free coordinates before the fit, a row of the residual each.
+    """Priors of some free coordinates, as one row of the residual each.
 
-    A row is (p - centre) / spread, of the parameter p or, where it is `logarithmic`, of its
-    logarithm. It is not whitened, no loss transforms it, and no noise is estimated from it. The
+    A row is (p - centre) / spread for a parameter p, or for its logarithm if the prior is
+    `logarithmic`. It is not whitened, no loss transforms it, and no noise is estimated from it. The
     columns are positions in the free coordinate.
     """
 
@@ -243,7 +250,7 @@ class Priors(eqx.Module):
 
     @classmethod
     def of(cls, priors: Mapping[str, Prior], paths: Sequence[str]) -> Self:
-        """The rows of some priors, for the paths at the positions of the free coordinate."""
+        """Return the rows of priors for the paths at the positions of the free coordinate."""
         known = [prior_of(priors, path) for path in paths]
         rows = [(column, prior) for column, prior in enumerate(known) if prior is not None]
         dtype = jnp.result_type(float)
@@ -255,14 +262,14 @@ class Priors(eqx.Module):
         )
 
     def rows(self, coordinate: Float[Array, " parameter"], bijector: Bijector) -> tuple[Rows, Rows]:
-        """Rows of the residual, and the derivative of each by its own free coordinate."""
+        """Return the rows of the residual, and their derivatives by their own free coordinates."""
         columns = np.asarray(self.columns, dtype=int)
         bounds = bijector.at(columns)
         logarithmic = np.asarray(self.logarithmic, dtype=bool)
 
         def row(part: Array) -> Array:
             values = bounds.forward(part)
-            # A stand-in that keeps the branch which is not taken free of NaN.
+            # A finite substitute keeps NaN out of the branch that is not taken.
             logarithms = jnp.log(jnp.where(logarithmic, values, 1))
             return (jnp.where(logarithmic, logarithms, values) - self.centre) / self.spread
 
@@ -271,22 +278,22 @@ class Priors(eqx.Module):
 
 
 def prior_of(priors: Mapping[str, Prior], path: str) -> Prior | None:
-    """What is known of a scalar parameter: by itself, or as an element of its array."""
+    """Return the prior of a scalar parameter, given for itself or for its array."""
     return priors.get(path, priors.get(path.partition("[")[0]))
 
 
 def prior_row(prior: Prior, value: float) -> tuple[float, float]:
-    """The row of the residual that a prior is, and its derivative by the parameter itself."""
+    """Return the residual row of a prior, and its derivative with respect to the parameter."""
     if prior.logarithmic:
         return (math.log(value) - prior.centre) / prior.spread, 1 / (value * prior.spread)
     return (value - prior.centre) / prior.spread, 1 / prior.spread
 
 
 def checked_priors(priors: Mapping[str, Any]) -> dict[str, Prior]:
-    """The priors, also where they are given as `{"value": ..., "deviation": ...}`.
+    """Return the priors. They may be given as `{"value": ..., "deviation": ...}`.
 
     Raises:
-        InputError: what is not a prior.
+        InputError: an entry is not a prior.
     """
     checked = {}
     for path, prior in priors.items():

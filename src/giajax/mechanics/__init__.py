@@ -1,4 +1,4 @@
-"""Physics of one configuration: chain, joints, muscles, hysteresis, obstacles, helium, the roll."""
+"""Physics of arms: multibody chain, joints, muscles, hysteresis, obstacles, gas, and the roll."""
 
 import lazy_loader
 

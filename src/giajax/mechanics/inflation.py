@@ -1,4 +1,4 @@
-"""An arm of balloons as gas: bags in a row, ports between them, and a supply."""
+"""Gas dynamics of an inflatable arm: bags in a row, ports between them, and a gas supply."""
 
 from itertools import pairwise
 from typing import Any, NamedTuple, Self
@@ -19,7 +19,7 @@ from .wrinkling import stiff_share
 
 
 class Gas(eqx.Module):
-    """An ideal gas at the temperature of the room: helium."""
+    """An ideal gas at room temperature; helium by default."""
 
     density: Scalar = parameter(GAS.density)
     ambient_pressure: Scalar = parameter(GAS.ambient_pressure)
@@ -28,7 +28,7 @@ class Gas(eqx.Module):
 
     @property
     def specific_energy(self) -> Scalar:
-        """R T of the gas, J/kg: its pressure over its density."""
+        """R T of the gas, J/kg, which is its pressure divided by its density."""
         return self.ambient_pressure / self.density
 
 
@@ -44,8 +44,12 @@ class Skin(eqx.Module):
 
 
 class BagState(NamedTuple):
-    """What a bag's share of gas makes of it: its pressure above that of the room, Pa, and its
-    volume over that of the tight bag without pressure, which is more where it stretches.
+    """Pressure and relative volume of bags.
+
+    Attributes:
+        pressure: gauge pressure, Pa.
+        fullness: volume divided by the volume of the tight bag without pressure; it exceeds 1 if
+            the bag stretches.
     """
 
     pressure: PerBag
@@ -53,27 +57,29 @@ class BagState(NamedTuple):
 
 
 def stretch_pressure(skin: Skin, diameter: Float[Array, "*tube"]) -> Float[Array, "*tube"]:
-    """Pressure over the part of its volume by which it stretches a tube, Pa.
+    """Return the pressure divided by the relative increase in volume that it causes, Pa.
 
-    Of a thin-walled tube with closed ends, hoop strain p r / (E t) (1 - nu / 2) twice, and
-    p r / (E t) (1/2 - nu) along it: E t / (r (5/2 - 2 nu)).
+    In a thin-walled tube with closed ends, the hoop strain is p r / (E t) (1 - nu / 2), which
+    counts twice, and the axial strain is p r / (E t) (1/2 - nu). The result is
+    E t / (r (5/2 - 2 nu)).
     """
     return skin.stiffness / (diameter / 2 * (2.5 - 2 * skin.poisson_ratio))
 
 
 def bag_state(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagState:
-    """Pressure and volume of bags with this share of the gas that just fills them.
+    """Return pressure and volume of bags that contain a share of the gas that just fills them.
 
-    Gas takes room until the bag is tight, and is then pressed together and stretches the skin:
+    The gas unfolds the bag until it is tight. More gas is compressed and stretches the skin:
 
         (1 + p / p_room) (1 + p / p_stretch) = 1 + s,  s = w softplus((share - 1) / w).
 
-    The softplus is the last wrinkles: a bag is limp to within exp(-n) where n w of its gas is
-    missing, has w log 2 at a share of 1, and s is share - 1 beyond.
+    The softplus models the last wrinkles. If a fraction n w of the gas is missing, s is about
+    w exp(-n), so the bag is nearly limp. At a share of 1, s is w log 2. For larger shares, s
+    approaches share - 1.
 
     Arguments:
-        stretch: `stretch_pressure` of each, Pa.
-        share: mass of gas over that which fills the bag at the pressure of the room.
+        stretch: `stretch_pressure` of each bag, Pa.
+        share: mass of gas in the bag divided by the mass that fills it at ambient pressure.
     """
     beyond = skin.slack * jax.nn.softplus((share - 1) / skin.slack)
     room = gas.ambient_pressure
@@ -84,25 +90,31 @@ def bag_state(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagState:
 
 
 class BagEnergy(NamedTuple):
-    """What bags hold of energy, J a cubic metre of the tight bag without pressure."""
+    """Energy of bags per volume of the tight bag without pressure, J/m^3.
+
+    Attributes:
+        gas: work that the gas can do.
+        skin: elastic energy of the skin.
+    """
 
     gas: PerBag
     skin: PerBag
 
 
-# Where the pressure of a bag bends most, in slacks from full: ends of panels of Gauss's rule.
+# Ends of the panels of the Gauss quadrature, as (share - 1) / slack. The panels are short where the
+# curvature of the pressure is large.
 _PANELS = np.array([-36.0, -12.0, -4.0, 4.0, 12.0, 36.0])
 _NODES = 16
 
 
 def bag_energy(gas: Gas, skin: Skin, stretch: PerBag, share: PerBag) -> BagEnergy:
-    """Work that the gas of bags could do until it is at the pressure of the room, and their skin.
+    """Return the work that the gas of bags and their skin can do until ambient pressure is reached.
 
-    Of an ideal gas at the temperature of the room that is P V log(P / p_room) - p V, with P the
-    absolute pressure and p that above the room, and of the skin the work of p on it. Where a bag
-    takes gas, both together grow by R T log(P / p_room) a kilogram.
+    For an ideal gas at room temperature, this work is P V log(P / p_room) - p V, where P is the
+    absolute pressure and p the gauge pressure. For the skin, it is the work that p has done on it.
+    If gas flows into a bag, the sum of both increases by R T log(P / p_room) per kilogram.
 
-    Arguments: as of `bag_state`.
+    The arguments are those of `bag_state`.
     """
     room, wrinkles = gas.ambient_pressure, 1 + skin.slack * _PANELS
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -129,7 +141,13 @@ Numbers = Float[Array, "..."]
 
 
 class Hole(NamedTuple):
-    """A round hole: its diameter and length, m, and its discharge coefficient."""
+    """A round hole.
+
+    Attributes:
+        diameter: diameter, m.
+        length: length, m.
+        coefficient: discharge coefficient.
+    """
 
     diameter: Numbers
     length: Numbers
@@ -137,30 +155,33 @@ class Hole(NamedTuple):
 
 
 def mass_flow(gas: Gas, hole: Hole, before: Numbers, after: Numbers) -> Numbers:
-    """Gas that a hole lets through, kg/s; negative from after to before.
+    """Return the mass flow through a hole, kg/s; negative for a flow from `after` to `before`.
 
-    An isentropic orifice of Saint-Venant and Wantzel (ISO 6358-1 has it for air),
+    The hole is an isentropic orifice after Saint-Venant and Wantzel (ISO 6358-1 gives it for air),
 
-        m = C A p0 sqrt(2 k / ((k - 1) R T)) sqrt(g),  g = r^(2/k) - r^((k + 1)/k),
+        m = C A p0 sqrt(2 k / ((k - 1) R T)) sqrt(g),  g = r^(2/k) - r^((k + 1)/k).
 
-    with r the ratio of pressures, which is no less than the critical one,
-    (2 / (k + 1))^(k / (k - 1)) = 0.487 for helium: there the slope of g is 0, and so the flow is
-    smooth where it chokes. In series with it a short tube after Hagen and Poiseuille: in place of
-    y = sqrt(g) it is y^2 + a y = g, so that the flow is laminar for small differences of pressure
-    and has a slope at 0. Where the difference is small beside the pressure that is
-    dp = 128 mu L Q / (pi d^4) + rho Q |Q| / (2 C^2 A^2).
+    Here r is the pressure ratio, but at least the critical ratio
+    (2 / (k + 1))^(k / (k - 1)) = 0.487 for helium. There the derivative of g is 0, so the flow is
+    smooth at the onset of choking. A short tube after Hagen and Poiseuille is in series with the
+    orifice: y = sqrt(g) is replaced by the solution of y^2 + a y = g. The flow is then laminar for
+    small pressure differences and has a finite derivative at 0. If the pressure difference is small
+    compared to the pressure, this means dp = 128 mu L Q / (pi d^4) + rho Q |Q| / (2 C^2 A^2).
 
-    Pressures on both sides are absolute ones, Pa; the hole may be several.
+    Arguments:
+        gas: properties of the gas.
+        hole: one hole, or several holes with arrays of dimensions.
+        before, after: absolute pressures on both sides, Pa.
     """
     k, rt = gas.heat_capacity_ratio, gas.specific_energy
     upstream = larger(before, after)
     most = 1 - critical_ratio(gas)
     signed = limited((before - after) / upstream, -most, most)
     drop = jnp.abs(signed)
-    # g over the drop, which has a limit where there is none.
+    # The ratio of g to the drop has a finite limit where the drop is 0.
     known = jnp.where(drop == 0, most, drop)
     logarithm = jnp.log1p(-known)
-    # Without what is lost where powers that are nearly the same are subtracted.
+    # `expm1` avoids the cancellation in the difference of two powers that are nearly equal.
     known = jnp.exp(2 / k * logarithm) * -jnp.expm1((k - 1) / k * logarithm) / known
     slope = jnp.where(drop == 0, (k - 1) / k, known)
     area = jnp.pi / 4 * hole.diameter**2
@@ -172,18 +193,18 @@ def mass_flow(gas: Gas, hole: Hole, before: Numbers, after: Numbers) -> Numbers:
 
 
 def critical_ratio(gas: Gas) -> Scalar:
-    """Pressure behind a hole over that before it, below which the flow is choked."""
+    """Return the ratio of downstream to upstream pressure below which the flow is choked."""
     k = gas.heat_capacity_ratio
     return (2 / (k + 1)) ** (k / (k - 1))
 
 
 class Supply(eqx.Module):
-    """What feeds the first bag.
+    """The gas supply of the first bag.
 
     Arguments:
-        kind: "flow" (a flow meter holds it whatever the pressure), "regulator" (it holds a pressure
-            before a restriction) or "bottle" (which empties through one, at the temperature of the
-            room).
+        kind: "flow" (a controller holds the flow constant at any pressure), "regulator" (a
+            regulator holds the pressure upstream of a nozzle) or "bottle" (a bottle at room
+            temperature empties through a nozzle).
     """
 
     kind: str = eqx.field(static=True, default="flow")
@@ -205,15 +226,17 @@ STRENGTHS = {
     "regulator": SUPPLY.pressure.path,
     "bottle": SUPPLY.nozzle_diameter.path,
 }
-"""The parameter of each kind of supply that makes it feed more."""
+"""The parameter that increases the flow from each kind of supply."""
 
 
 def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scalar:
-    """Gas that the supply feeds, kg/s.
+    """Return the mass flow from the supply, kg/s.
 
     Arguments:
-        pressure: of the first bag above that of the room, Pa.
-        supplied: what the supply has fed, kg.
+        gas: properties of the gas.
+        supply: the supply.
+        pressure: gauge pressure of the first bag, Pa.
+        supplied: mass of gas that the supply has delivered so far, kg.
     """
     if supply.kind == "flow":
         return supply.flow * gas.density
@@ -223,22 +246,27 @@ def inflow(gas: Gas, supply: Supply, pressure: Scalar, supplied: Scalar) -> Scal
         before = supply.bottle_pressure - spent
     hole = Hole(supply.nozzle_diameter, supply.nozzle_length, supply.nozzle_coefficient)
     room = gas.ambient_pressure
-    # A step that the integrator tries may have emptied the bottle.
+    # In a trial step of the integrator, the bottle may be empty.
     return mass_flow(gas, hole, larger(room + before, room / 2), room + pressure)
 
 
 Floats = npt.NDArray[np.float64]
 
 
-# Compiled, or each of some forty operations would be dispatched by itself.
+# The function is compiled, because otherwise each of its about forty operations would be dispatched
+# separately.
 _stiff_shares = program(stiff_share)
 
 
 def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = None) -> Floats:
-    """Bending stiffness of each link that bears its own weight from one end, N m^2 (`stiff_share`).
+    """Return the bending stiffness of each link, N m^2.
+
+    Each link is supported at one end and bears its own weight. `stiff_share` accounts for wrinkles.
 
     Arguments:
-        pressure: of the links, Pa, shape (..., link); `links.pressure` by default.
+        arm: the arm.
+        skin: the skin of the links.
+        pressure: gauge pressure of the links, Pa, shape (..., link); `links.pressure` by default.
     """
     links = arm.links
     radius, mass = np.asarray(links.diameter) / 2, np.asarray(links.mass)
@@ -251,7 +279,7 @@ def bending_stiffness(arm: Arm, skin: Skin, pressure: npt.ArrayLike | None = Non
 
 
 class Ports(eqx.Module):
-    """The ports between neighbouring bags, from the base on."""
+    """The ports between neighbouring bags, in order from the base to the tip."""
 
     diameter: Scalar | Float[Array, " port"] = parameter(PORTS.diameter)
     length: Scalar | Float[Array, " port"] = parameter(PORTS.length)
@@ -259,18 +287,22 @@ class Ports(eqx.Module):
 
 
 class Filling(eqx.Module):
-    """Bags in a row, fed at the base, each through the port of the one before it (fig. 15).
+    """A row of bags supplied with gas at the base; each bag is filled through a port (fig. 15).
 
-    Every array may be differentiated and replaced (`giajax.replace`).
+    Every array can be differentiated and replaced (`giajax.replace`).
 
     Arguments:
-        arm: whose links are the bags; the paper's by default.
-        shared: groups of neighbouring links, counted from 1, that are not welded apart and so are
-            one bag.
+        arm: the arm whose links are the bags; the arm of the paper by default.
+        gas: properties of the gas.
+        skin: the skin of the bags.
+        ports: the ports between the bags.
+        supply: the gas supply of the first bag.
+        shared: groups of neighbouring links, numbered from 1, that are not separated by a weld and
+            therefore form one bag.
 
     Raises:
-        InputError: a link that the arm does not have, or another number of ports than lie between
-            the bags.
+        InputError: the arm does not have one of the links, or the number of ports is not the number
+            of pairs of neighbouring bags.
 
     Example:
         >>> import giajax
@@ -292,15 +324,15 @@ class Filling(eqx.Module):
             if shape not in ((), (self.bags - 1,)):
                 raise InputError(
                     f"the ports have {shape[0]} values of {name}, but there are {self.bags - 1} "
-                    f"between {self.bags} bags: give one number, or one for each port"
+                    f"ports between {self.bags} bags: give one number, or one for each port"
                 )
 
     @classmethod
     def from_section(cls, section: FillingSection, arm: Arm) -> Self:
-        """The filling that a `[filling]` section states, of an arm.
+        """Create the filling of an arm from a `[filling]` section.
 
         Raises:
-            InputError: as of the class.
+            InputError: see the class.
         """
         values = section.values()
         ports: dict[str, Any] = {
@@ -311,18 +343,18 @@ class Filling(eqx.Module):
         return replace(cls(arm=arm, ports=Ports(**ports), supply=supply, shared=shared), values)
 
     def definition(self) -> dict[str, Any]:
-        """The `[filling]` section, with every key."""
+        """Return the `[filling]` section with every key."""
         values = {path: np.asarray(p.value(self)) for path, p in declared(self).items()}
         stated = FillingSection.keys_of(values)
         groups = {"shared": [list(links) for links in self.shared]} if self.shared else {}
         return {"supply": self.supply.kind, **groups, **stated}
 
     def flows(self, pressure: PerBag, supplied: Scalar) -> tuple[Scalar, Float[Array, " port"]]:
-        """Gas from the supply and through each port towards the tip, kg/s.
+        """Return the mass flows from the supply and through each port towards the tip, kg/s.
 
         Arguments:
-            pressure: in the bags, Pa.
-            supplied: by the supply so far, kg.
+            pressure: gauge pressure of the bags, Pa.
+            supplied: mass of gas that the supply has delivered so far, kg.
         """
         absolute = self.gas.ambient_pressure + pressure
         hole = Hole(*jax.tree.leaves(self.ports))
@@ -331,7 +363,7 @@ class Filling(eqx.Module):
 
     @property
     def bag_of_link(self) -> npt.NDArray[np.int64]:
-        """The bag of each link, counted from 0."""
+        """Index of the bag of each link, from 0."""
         first = np.ones(self.arm.count, dtype=np.int64)
         for links in self.shared:
             first[np.asarray(links[1:]) - 1] = 0
@@ -344,28 +376,29 @@ class Filling(eqx.Module):
 
     @property
     def volume(self) -> PerBag:
-        """Volume of each bag when it is tight and not stretched, m^3."""
+        """Volume of each tight and unstretched bag, m^3."""
         return jnp.zeros(self.bags).at[self.bag_of_link].add(self.arm.links.volume)
 
     @property
     def full_mass(self) -> PerBag:
-        """Gas that fills each bag at the pressure of the room, kg."""
+        """Mass of gas that fills each bag at ambient pressure, kg."""
         return self.gas.density * self.volume
 
     @property
     def borne_mass(self) -> Float[Array, " link"]:
-        """What the lift of each link's gas must bear, kg: the link and all that it carries."""
+        """Mass that the lift of the gas of each link must bear, kg: the link and its payload."""
         borne = bodies(self.arm).mass
         if self.arm.buoyancy is not None:
-            # Its gas is that which is being filled in.
+            # The gas of the links is the gas of the bags, which is counted separately.
             borne = borne - self.arm.buoyancy.helium_density * self.arm.links.volume
         return borne
 
     @property
     def stretch(self) -> PerBag:
-        """Pressure over the part of its volume by which each bag stretches, Pa.
+        """Pressure divided by the relative increase in volume that it causes in each bag, Pa.
 
-        Of links of several diameters in one bag, what stretches all of them by their sum.
+        If a bag consists of links of several diameters, the volume increase is the sum over the
+        links.
         """
         links = self.arm.links
         each = links.volume / stretch_pressure(self.skin, links.diameter)
@@ -373,13 +406,13 @@ class Filling(eqx.Module):
 
 
 def _check_shared(shared: tuple[tuple[int, ...], ...], links: int) -> None:
-    """Refuse groups that are not of neighbours, or that have a link twice or one beyond the arm."""
+    """Check that groups consist of neighbouring links of the arm, each in at most one group."""
     several = [link for group in shared for link in group]
     for group in shared:
         if len(group) < 2 or any(b != a + 1 for a, b in pairwise(group)):
             raise InputError(
                 f"the links {list(group)} share a bag, but must be neighbours in ascending order, "
-                f"such as [3, 4, 5]: correct the list"
+                "such as [3, 4, 5]: correct the list"
             )
     for link in several:
         if not 1 <= link <= links:
@@ -389,5 +422,5 @@ def _check_shared(shared: tuple[tuple[int, ...], ...], links: int) -> None:
         if several.count(link) > 1:
             raise InputError(
                 f"link {link} is in two lists of shared bags, but can belong to only one bag: put "
-                f"all links of this bag into one list"
+                "all links of this bag into one list"
             )

@@ -1,4 +1,4 @@
-"""What stands around an arm: boxes, planes and walls with an opening, and what is nearest."""
+"""Obstacles around an arm (boxes, planes, walls with an opening) and the distances to them."""
 
 import abc
 import functools
@@ -30,9 +30,16 @@ Vectors = Float[Array, "3 pair"]
 
 
 class Lines(NamedTuple):
-    """Lines, each in the frame of a box: first points, unit vectors, lengths and radii, m; half of
-    the sizes of the box, m; and 1 for faces that are shared with another box, else 0: lower, upper
-    ones.
+    """Line segments with a radius, each in the frame of one box.
+
+    Attributes:
+        start: first point of each line, m.
+        direction: unit vector along each line.
+        length: length of each line, m.
+        radius: radius about each line within which the box counts as touched, m.
+        half: half of the dimensions of the box, m.
+        shared: 1 for each face that the box shares with another box, otherwise 0; the first row
+            contains the lower faces, the second row the upper faces.
     """
 
     start: Vectors
@@ -43,17 +50,22 @@ class Lines(NamedTuple):
     shared: Float[Array, "2 3 pair"]
 
     def at(self, place: Array) -> Array:
-        """Points of the lines."""
+        """Return the points at distances `place` (m) along the lines."""
         return self.start + self.direction * place[None]
 
     def out(self, place: Array) -> Array:
-        """From the nearest point of the box to points of the lines, m."""
+        """Return the vectors from the nearest point of the box to points of the lines, m."""
         x = self.at(place)
         return jnp.sign(x) * larger(jnp.abs(x) - self.half, 0)
 
 
 def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors]]:
-    """From where to where lines are not beyond shared faces, and the faces where that ends."""
+    """Clip lines to the part that does not lie beyond a shared face.
+
+    Returns:
+        Start and end of this part along each line, m, and the normals of the faces at which it
+        starts and ends (zero where it starts or ends with the line).
+    """
     start, direction, half = lines.start, lines.direction, lines.half
     first, last = jnp.zeros_like(start[0]), lines.length
     faces = [jnp.zeros_like(start), jnp.zeros_like(start)]
@@ -76,8 +88,12 @@ def within_faces(lines: Lines) -> tuple[PerPair, PerPair, tuple[Vectors, Vectors
 
 
 class Nearest(NamedTuple):
-    """The surface of boxes as seen from points: the distance, m, negative inside, and the unit
-    vector from the nearest point of the surface, in the frame of the box.
+    """Distance from points to the surface of boxes.
+
+    Attributes:
+        distance: signed distance to the surface, m; negative inside the box.
+        normal: unit vector normal to the surface at its nearest point, pointing outwards, in the
+            frame of the box.
     """
 
     distance: Float[Array, "*shape"]
@@ -89,19 +105,20 @@ def nearest(
     half: Float[Array, "3 *#shape"],
     shared: Float[Array, "2 3 *#shape"],
 ) -> Nearest:
-    """The nearest of the surface of boxes.
+    """Return the signed distance of points from the surface of boxes, and the normal there.
 
-    Inside, it is that of the faces that are not shared. Where several are equally near, it is the
-    first of them, and the distance has a kink. Along a line the distance is convex.
+    Inside a box, only the faces that are not shared are considered. Where several faces are
+    equally near, the first of them is used, and the distance has a kink. Along a line the distance
+    is convex.
 
     Arguments:
         x: points in the frames of the boxes, m.
-        half, shared: as of `Lines`.
+        half, shared: see `Lines`.
     """
     outside = larger(jnp.abs(x) - half, 0)
     length = safe_norm(outside)
     out = length > 0
-    # A shared face is far away from everything inside. Upper faces first, then lower ones.
+    # The offset of 1e6 m excludes shared faces. The upper faces come before the lower faces.
     depth = jnp.concatenate([x - half - 1e6 * shared[1], -x - half - 1e6 * shared[0]])
     face = jnp.argmax(depth, axis=0)
     inside = jnp.max(depth, axis=0)
@@ -112,13 +129,14 @@ def nearest(
 
 
 class Patches(NamedTuple):
-    """Stretches of lines that are within their radius of a box.
+    """Sections of lines whose distance from a box is less than the radius.
 
     Attributes:
-        knots: along the line, m: where the stretch begins, the crossings of planes of faces that
-            are next to its nearest place, between which the distance is smooth, and its end.
-        nearest: the place along the line that is nearest to the box, m.
-        touching: whether there is any.
+        knots: four positions along the line, m: the start of the section, the two crossings of
+            face planes on either side of the nearest position, and the end of the section. Between
+            two knots the distance is smooth.
+        nearest: position along the line that is nearest to the box, m.
+        touching: whether the line has such a section.
     """
 
     knots: Float[Array, "4 pair"]
@@ -127,8 +145,13 @@ class Patches(NamedTuple):
 
 
 class _Knot(NamedTuple):
-    """A place on each line, and what it is: where it is as far away as its radius, or crosses the
-    plane of a face (whose normal `face` is), or neither, which is an end of the line.
+    """One knot of each line, and the condition that defines it.
+
+    Attributes:
+        place: position along the line, m.
+        on_radius: whether the distance from the box equals the radius there.
+        face: normal of the face whose plane the line crosses there; zero where the knot is an end
+            of the line, and where `on_radius` is true.
     """
 
     place: PerPair
@@ -143,7 +166,7 @@ class _Found(NamedTuple):
 
 
 def patches(lines: Lines) -> Patches:
-    """Where lines are within their radius of boxes, exactly."""
+    """Find the sections of lines that are nearer to boxes than their radius, in closed form."""
     found = _search(jax.lax.stop_gradient(lines))
     return Patches(_places(lines, found), found.nearest, found.touching)
 
@@ -155,9 +178,10 @@ def _places(lines: Lines, found: _Found) -> Float[Array, "4 pair"]:
 
 @_places.def_jvp
 def _places_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """A knot moves so that what made it one still holds: the search itself is not differentiated.
+    """Differentiate the knots implicitly through the conditions that define them.
 
-    The nearest place may stay: to first order the distance there does not depend on it.
+    The search itself is not differentiated. The nearest position is treated as constant, because
+    the distance there does not depend on it to first order.
     """
     lines, found = primals
     places = _places(lines, found)
@@ -182,11 +206,11 @@ def _places_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 
 def _search(lines: Lines) -> _Found:
-    """The stretches, without iteration.
+    """Find the sections in closed form, without iteration.
 
-    The square of the distance to a box is convex along a line, and between the places where the
-    line crosses the planes of faces it is a parabola: one of those pieces has the minimum, and one
-    each of the ends.
+    The squared distance to a box is convex along a line. Between the crossings of the face planes
+    it is a parabola. One of these pieces contains the minimum, and one piece contains each end of
+    the section.
     """
     first, last, faces = within_faces(lines)
     some = last > first
@@ -198,7 +222,7 @@ def _search(lines: Lines) -> _Found:
     places = limited(every, first[None], last[None])
 
     def look(place: Array) -> tuple[Array, Array]:
-        """Square of the distance, and half of its slope."""
+        """Return the squared distance at a position, and half of its derivative."""
         out = lines.out(place)
         return dot(out, out), dot(out, lines.direction)
 
@@ -213,7 +237,7 @@ def _search(lines: Lines) -> _Found:
     touching = some & (look(lowest)[0] < limit)
 
     def end(sign: int) -> _Knot:
-        """That before (-1) or after (1) the nearest place."""
+        """Return the end of the section before (-1) or after (1) the nearest position."""
         there = sign * (places - lowest[None]) >= 0
         far = jnp.where(there & (squares >= limit[None]), sign * places, jnp.inf)
         outer = sign * jnp.min(far, axis=0)
@@ -225,7 +249,7 @@ def _search(lines: Lines) -> _Found:
         width = jnp.abs(outer - inner)
         tilt, tilt_within = sign * tilt, sign * tilt_within
         bend = (tilt - tilt_within) / jnp.where(width > 0, width, 1)
-        # The root next to `outer` of the parabola through it.
+        # Solve the parabola for the root that is next to `outer`.
         excess = square - limit
         root = tilt + jnp.sqrt(larger(tilt * tilt - bend * excess, 0))
         back = excess / jnp.where(root > 0, root, 1)
@@ -243,8 +267,15 @@ def _search(lines: Lines) -> _Found:
 def _crossing(
     planes: Float[Array, "6 pair"], lowest: PerPair, begin: _Knot, end: _Knot, sign: int
 ) -> _Knot:
-    """The crossing of a face's plane next to the nearest place, before (-1) or after (1) it; where
-    there is none in the stretch, its end.
+    """Return the crossing of a face plane that is next to the nearest position.
+
+    Where the section contains no crossing on that side, the result is the end of the section.
+
+    Arguments:
+        planes: positions at which the lines cross the face planes, m; NaN for parallel planes.
+        lowest: nearest position along each line, m.
+        begin, end: ends of the section.
+        sign: -1 for the crossing before the nearest position, 1 for the crossing after it.
     """
     beside = planes <= lowest[None] if sign < 0 else planes > lowest[None]
     inside = beside & (planes > begin.place[None]) & (planes < end.place[None])
@@ -259,18 +290,22 @@ def _crossing(
     )
 
 
-# Each obstacle is made of boxes. Where two of them share a face, neither counts beyond it: what is
-# there is the other's, so that a flat wall of several boxes is one flat wall.
+# Each obstacle consists of boxes. Where two boxes share a face, each of them ignores points beyond
+# this face, because they belong to the other box. A flat wall of several boxes then acts as one.
 
-# Half the sizes of the box of a plane, m: along it beyond all that an arm reaches, and so little
-# deep that single precision resolves a micrometre.
+# Half of the dimensions of the box that represents a plane, m. The box extends further than any arm
+# reaches. Its depth is small enough that single precision resolves a micrometre.
 _PLANE = (1000.0, 1000.0, 8.0)
 
 
 class Part(eqx.Module):
-    """A box of an obstacle, in whose frame its centre is; `half` of its sizes, m; and whether its
-    face is shared with another box of the obstacle: of the lower and the upper faces across x, y
-    and z.
+    """A box that is a part of an obstacle.
+
+    Attributes:
+        centre: centre of the box in the frame of the obstacle, m.
+        half: half of the dimensions of the box, m.
+        shared: whether each face is shared with another box of the obstacle: first the lower and
+            then the upper faces, which are normal to x, y and z.
     """
 
     centre: Float[Array, "3"]
@@ -286,7 +321,7 @@ def _converted(value: Any) -> Array:
     return jnp.asarray(value, jnp.result_type(float))
 
 
-# Field of an array of numbers; where obstacles stand is no parameter that a fit finds.
+# A field that is an array. Dimensions and poses of obstacles are constants, not fitted parameters.
 _numbers = functools.partial(eqx.field, converter=_converted)
 
 
@@ -294,31 +329,31 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class AbstractObstacle(eqx.Module):
-    """Something rigid that does not move, with its frame about its centre."""
+    """A rigid and fixed obstacle, whose frame has its origin at the centre of the obstacle."""
 
     name: eqx.AbstractVar[str]
     centre: eqx.AbstractVar[Float[Array, "3"]]
 
     @abc.abstractmethod
     def parts(self) -> list[Part]:
-        """The boxes that it is made of, in its own frame."""
+        """Return the boxes of which the obstacle consists, in its own frame."""
 
     @abc.abstractmethod
     def turn(self) -> Float[Array, "4"]:
-        """Unit quaternion from its own frame to the base frame."""
+        """Return the unit quaternion from the frame of the obstacle to the base frame."""
 
 
 class Box(AbstractObstacle):
     """A solid box.
 
     Arguments:
-        centre: in the base frame, m.
-        size: along its x, y and z, m.
-        rotation: rotation vector against the base frame, rad.
-        name: what results call it.
+        centre: centre of the box in the base frame, m.
+        size: dimensions of the box along its x, y and z axes, m.
+        rotation: rotation vector of the box relative to the base frame, rad.
+        name: name of the obstacle in results.
 
     Raises:
-        InputError: a size that is not positive.
+        InputError: a dimension is not positive.
     """
 
     centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
@@ -330,28 +365,29 @@ class Box(AbstractObstacle):
         if is_concrete(self.size) and not np.all(np.asarray(self.size) > 0):
             raise InputError(
                 f"the obstacle '{self.name}' has a size that is not positive: give three positive "
-                f"sizes"
+                "sizes"
             )
 
     def turn(self) -> Float[Array, "4"]:
-        """By its rotation vector."""
+        """Return the quaternion of the rotation vector."""
         return rotation_vector_to_quaternion(self.rotation)
 
     def parts(self) -> list[Part]:
-        """One box."""
+        """Return the box itself."""
         return [Part(jnp.zeros_like(self.size), self.size / 2)]
 
 
 class Plane(AbstractObstacle):
-    """A half space: the ground, or a wall without an end.
+    """A half space, such as the ground or an unbounded wall.
 
     Arguments:
-        centre: a point of its surface in the base frame, m.
-        normal: away from the solid side; it need not be a unit vector.
-        name: what results call it.
+        centre: a point of the surface in the base frame, m.
+        normal: vector normal to the surface, pointing away from the solid side; it need not be a
+            unit vector.
+        name: name of the obstacle in results.
 
     Raises:
-        InputError: a normal without a direction.
+        InputError: the normal is zero.
     """
 
     centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
@@ -365,35 +401,38 @@ class Plane(AbstractObstacle):
             )
 
     def turn(self) -> Float[Array, "4"]:
-        """The turn of z into the normal, about a level axis."""
+        """Return the rotation of the z axis into the normal, about a horizontal axis."""
         x, y, z = self.normal / jnp.sqrt(jnp.sum(self.normal**2))
-        # Half way between both: 1 + z and the cross product, made a unit; upside down, about x.
+        # The quaternion (1 + z, cross product) is half of the rotation, up to its length. For a
+        # normal that points straight down, the rotation is half a turn about x.
         down = z < -1 + 1e-12
         turn = jnp.stack([1 + z, -y, x, jnp.zeros_like(z)])
         turn = jnp.where(down, jnp.asarray([0, 1, 0, 0], turn.dtype), turn)
         return turn / jnp.sqrt(jnp.sum(turn**2))
 
     def parts(self) -> list[Part]:
-        """One box that ends at the plane, beside the base, wherever the plane's centre is."""
+        """Return one box on the solid side, centred at the projection of the base on the plane."""
         half = jnp.asarray(_PLANE, self.centre.dtype)
         beside = rotate(self.turn() * jnp.asarray([-1, 1, 1, 1], half.dtype), -self.centre)
         return [Part(beside.at[2].set(-half[2]), half)]
 
 
 class WallWithOpening(AbstractObstacle):
-    """A wall with a rectangular opening, its x through the wall, y along it and z up.
+    """A wall with a rectangular opening.
+
+    In the frame of the wall, x passes through the wall, y runs along it, and z points up.
 
     Arguments:
-        centre: of the opening, in the middle of the wall, in the base frame, m.
+        centre: centre of the opening, in the middle of the wall thickness, in the base frame, m.
         opening: width (along y) and height (along z) of the opening, m.
-        margins: how far the wall goes on to the right (-y), below (-z), to the left (+y) and
-            above (+z) the opening, m; none may be 0.
-        thickness: of the wall, m.
-        rotation: rotation vector of the wall against the base frame, rad.
-        name: what results call it.
+        margins: extent of the wall to the right of the opening (negative y), below it (negative
+            z), to the left (positive y) and above it (positive z), m; all must be positive.
+        thickness: thickness of the wall, m.
+        rotation: rotation vector of the wall relative to the base frame, rad.
+        name: name of the obstacle in results.
 
     Raises:
-        InputError: a size that is not positive.
+        InputError: a dimension is not positive.
     """
 
     centre: Float[Array, "3"] = _numbers(default=_ORIGIN)
@@ -412,11 +451,11 @@ class WallWithOpening(AbstractObstacle):
             )
 
     def turn(self) -> Float[Array, "4"]:
-        """By its rotation vector."""
+        """Return the quaternion of the rotation vector."""
         return rotation_vector_to_quaternion(self.rotation)
 
     def parts(self) -> list[Part]:
-        """Eight boxes about the opening, in a square of nine."""
+        """Return the eight boxes around the opening, which is the middle cell of a 3 x 3 grid."""
         half = self.opening / 2
         right, below, left, above = self.margins
         bands = (
@@ -443,10 +482,15 @@ class WallWithOpening(AbstractObstacle):
 
 
 class Solids(NamedTuple):
-    """The boxes of several obstacles: centres in the base frame and half of the sizes, m; unit
-    vectors along the sizes in the base frame, `frame[:, k, box]` being the k-th; and whether a face
-    is shared with another box, of the lower and the upper ones: numbers, and no part of what is
-    traced.
+    """Boxes of several obstacles.
+
+    Attributes:
+        centre: centres of the boxes in the base frame, m.
+        half: half of the dimensions of the boxes, m.
+        frame: unit vectors along the edges of the boxes in the base frame; `frame[:, k, box]` is
+            the k-th vector.
+        shared: whether each face is shared with another box (the lower faces, then the upper
+            faces); a NumPy array, which is not traced.
     """
 
     centre: Float[Array, "3 box"]
@@ -456,7 +500,7 @@ class Solids(NamedTuple):
 
 
 def solids(obstacles: Sequence[AbstractObstacle]) -> Solids:
-    """The boxes of obstacles, of which there is at least one."""
+    """Collect the boxes of obstacles. At least one obstacle is required."""
     boxes = []
     for obstacle in obstacles:
         turn = obstacle.turn()
@@ -469,5 +513,5 @@ def solids(obstacles: Sequence[AbstractObstacle]) -> Solids:
 
 
 def owners(obstacles: Sequence[AbstractObstacle]) -> np.ndarray:
-    """The index of the obstacle that each box belongs to, shape (box,)."""
+    """Return the index of the obstacle to which each box belongs, shape (box,)."""
     return np.repeat(np.arange(len(obstacles)), [len(each.parts()) for each in obstacles])

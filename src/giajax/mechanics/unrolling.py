@@ -1,4 +1,4 @@
-"""An arm that is wound on a core: geometry, inertia and energies of the roll as it is paid out."""
+"""Geometry, inertia, energies and forces of an arm that unrolls from a core."""
 
 from typing import Any, NamedTuple, Self
 
@@ -19,7 +19,7 @@ HANDS = ("speed", "force")
 
 
 class Roll(eqx.Module):
-    """The roll: an arm that lies flat, wound on a core, its base outside."""
+    """The roll: a flat arm wound on a core, with the base of the arm on the outside."""
 
     radius: Scalar = parameter(ROLL.radius)
     core_radius: Scalar = parameter(ROLL.core_radius)
@@ -29,7 +29,7 @@ class Roll(eqx.Module):
 
 
 class Film(eqx.Module):
-    """The film in the roll: how it bends, how its layers stick, and what else holds it back."""
+    """The film in the roll: bending, adhesion of its layers, and other resistance."""
 
     thickness: Scalar = parameter(FILM.thickness)
     creep: Scalar = parameter(FILM.creep)
@@ -38,10 +38,10 @@ class Film(eqx.Module):
 
 
 class Hand(eqx.Module):
-    """Who rolls the arm out.
+    """The hand that unrolls the arm.
 
     Arguments:
-        kind: "speed" or "force", which of the two is held.
+        kind: "speed" for a constant speed, or "force" for a constant force.
     """
 
     kind: str = eqx.field(static=True, default="speed")
@@ -54,17 +54,20 @@ class Hand(eqx.Module):
 
 
 class Unrolling(eqx.Module):
-    """A rolled arm that is paid out by a hand or by gas (fig. 14).
+    """A rolled arm that is unrolled by a hand or by gas (fig. 14).
 
-    Every array may be differentiated and replaced (`giajax.replace`).
+    Every array can be differentiated and replaced (`giajax.replace`).
 
     Arguments:
-        filling: the arm, its gas, skin and supply, and how it is filled when it is unrolled.
-        order: "roll first" (a hand rolls the arm out without gas, as in the paper), or "by gas".
-        carried: the roll is carried, and does not lie on a floor.
+        filling: the arm with its gas, skin, ports and supply.
+        roll: the roll.
+        film: the film in the roll.
+        hand: the hand that unrolls the arm if the order is "roll first".
+        order: "roll first" (a hand unrolls the arm without gas, as in the paper), or "by gas".
+        carried: whether the roll is carried instead of lying on a floor.
 
     Raises:
-        InputError: another order.
+        InputError: the order is not one of these two.
 
     Example:
         >>> import giajax
@@ -85,10 +88,10 @@ class Unrolling(eqx.Module):
 
     @classmethod
     def from_section(cls, section: UnrollingSection, filling: Filling) -> Self:
-        """The unrolling that an `[unrolling]` section states, of what is filled.
+        """Create the unrolling of a filling from an `[unrolling]` section.
 
         Raises:
-            InputError: as of the class.
+            InputError: see the class.
         """
         made = cls(
             filling=filling,
@@ -99,19 +102,19 @@ class Unrolling(eqx.Module):
         return replace(made, section.values())
 
     def definition(self) -> dict[str, Any]:
-        """The `[unrolling]` section, with every key."""
+        """Return the `[unrolling]` section with every key."""
         values = {path: np.asarray(p.value(self)) for path, p in declared(self).items()}
         words = {"order": self.order, "hand": self.hand.kind, "carried": self.carried}
         return {**words, **UnrollingSection.keys_of(values)}
 
     @property
     def by_gas(self) -> bool:
-        """Whether gas drives it."""
+        """Whether gas unrolls the arm."""
         return self.order == "by gas"
 
     @property
     def ends(self) -> Float[Array, " link"]:
-        """Where each link ends along the straight arm, m."""
+        """Position of the end of each link along the straight arm, m."""
         return jnp.cumsum(self.filling.arm.links.length)
 
     @property
@@ -121,53 +124,63 @@ class Unrolling(eqx.Module):
 
     @property
     def pitch(self) -> Scalar:
-        """Thickness h of a layer of the roll, m, by pi (R^2 - R0^2) = h L of the whole arm."""
+        """Thickness h of a layer of the roll, m, from pi (R^2 - R0^2) = h L for the whole arm."""
         roll = self.roll
         return jnp.pi * (roll.radius**2 - roll.core_radius**2) / self.length
 
     @property
     def film_stiffness(self) -> Scalar:
-        """Bending stiffness of one film over its width, N m: E t^3 / (12 (1 - nu^2))."""
+        """Bending stiffness of one film per width, N m: E t^3 / (12 (1 - nu^2))."""
         skin = self.filling.skin
         return skin.stiffness * self.film.thickness**2 / (12 * (1 - skin.poisson_ratio**2))
 
     @property
     def stretch(self) -> Scalar:
-        """Pressure over the part of its volume by which the whole tube stretches, Pa."""
+        """Pressure divided by the relative volume increase that it causes in the whole tube, Pa."""
         links = self.filling.arm.links
         each = links.volume / stretch_pressure(self.filling.skin, links.diameter)
         return jnp.sum(links.volume) / jnp.sum(each)
 
 
 def _wound_from(unrolling: Unrolling, paid_out: Scalar) -> Float[Array, " link"]:
-    """Where the part of each link that is still wound begins, m along the arm."""
+    """Return the position along the arm at which the wound part of each link starts, m."""
     ends = unrolling.ends
     return limited(paid_out, ends - unrolling.filling.arm.links.length, ends)
 
 
 def roll_radius(unrolling: Unrolling, paid_out: Float[Array, "*x"]) -> Float[Array, "*x"]:
-    """Radius of the roll, m, with so much of the arm paid out (m): pi (R^2 - R0^2) = h (L - x)."""
+    """Return the radius R of the roll, m, from pi (R^2 - R0^2) = h (L - x).
+
+    Arguments:
+        unrolling: the unrolling arm.
+        paid_out: unrolled length x of the arm, m.
+    """
     return jnp.sqrt(_squared_radius(unrolling, paid_out))
 
 
 def _squared_radius(unrolling: Unrolling, paid_out: Float[Array, "*x"]) -> Float[Array, "*x"]:
-    # A step that the integrator tries may go beyond the end.
+    # A trial step of the integrator may exceed the length of the arm.
     wound = larger(unrolling.length - paid_out, 0.0)
     return unrolling.roll.core_radius**2 + unrolling.pitch * wound / jnp.pi
 
 
 class Inertia(NamedTuple):
-    """Of a roll: its mass, kg, and its moment of inertia about its axis, kg m^2."""
+    """Inertia of a roll.
+
+    Attributes:
+        mass: mass, kg.
+        moment: moment of inertia about the axis of the roll, kg m^2.
+    """
 
     mass: Scalar
     moment: Scalar
 
 
 def roll_inertia(unrolling: Unrolling, paid_out: Scalar) -> Inertia:
-    """Mass and moment of inertia of the roll: the core, and a ring of each link's wound part.
+    """Return mass and moment of inertia of the roll.
 
-    A uniform ring from radius a to b has m (a^2 + b^2) / 2. The spiral is taken for rings, and the
-    core for a thin tube.
+    The core is modelled as a thin tube, and the wound part of each link as a uniform ring. A ring
+    between the radii a and b has the moment of inertia m (a^2 + b^2) / 2.
     """
     links, roll = unrolling.filling.arm.links, unrolling.roll
     begin, end = _wound_from(unrolling, paid_out), unrolling.ends
@@ -178,16 +191,17 @@ def roll_inertia(unrolling: Unrolling, paid_out: Scalar) -> Inertia:
 
 
 def rolling_mass(unrolling: Unrolling, paid_out: Scalar) -> Scalar:
-    """What the roll has of inertia against its speed, kg: the kinetic energy is half of it v^2.
+    """Return the effective mass m + I / R^2 of the roll, kg.
 
-    The roll turns about the line where it touches what is paid out, which is at rest: m + I / R^2.
+    The kinetic energy is half of this mass times the squared speed. The roll turns about the line
+    at which it touches the unrolled part of the arm, which is at rest.
     """
     inertia = roll_inertia(unrolling, paid_out)
     return inertia.mass + inertia.moment / _squared_radius(unrolling, paid_out)
 
 
 def weight_energy(unrolling: Unrolling, paid_out: Scalar) -> Scalar:
-    """Potential energy of the roll on a floor, J: m g R; none where it is carried."""
+    """Return the potential energy m g R of a roll on a floor, J; 0 if the roll is carried."""
     if unrolling.carried:
         return jnp.zeros_like(paid_out)
     mass = roll_inertia(unrolling, paid_out).mass
@@ -195,11 +209,12 @@ def weight_energy(unrolling: Unrolling, paid_out: Scalar) -> Scalar:
 
 
 def bending_energy(unrolling: Unrolling, paid_out: Scalar) -> Scalar:
-    """Elastic energy of the two films beyond that of the whole arm in the roll, J.
+    """Return the elastic energy of the two films relative to that of the fully wound arm, J.
 
-    Of films of the width pi d / 2 and the bending stiffness D, wound at the radius R, of whose
-    curvature they keep the share s as their own: D w (1 - s)^2 / R^2 a metre in the roll, and
-    D w s^2 / R^2 when they are straight. The difference is integrated over what is paid out.
+    The films have the width w = pi d / 2 and the bending stiffness D, and are wound at the radius
+    R. By creep, they retain the fraction s of this curvature. Their energy per length is
+    D w (1 - s)^2 / R^2 in the roll and D w s^2 / R^2 when they are straight. The difference is
+    integrated over the unrolled length.
     """
     diameter = unrolling.filling.arm.links.diameter
     begin = unrolling.ends - unrolling.filling.arm.links.length
@@ -213,22 +228,22 @@ def bending_energy(unrolling: Unrolling, paid_out: Scalar) -> Scalar:
 
 
 def open_volume(unrolling: Unrolling, paid_out: Scalar) -> Float[Array, " link"]:
-    """Volume of each link that is paid out, tight and not stretched, m^3."""
+    """Return the volume of the unrolled part of each link, tight and unstretched, m^3."""
     links = unrolling.filling.arm.links
     begin = unrolling.ends - links.length
     return links.volume * (_wound_from(unrolling, paid_out) - begin) / links.length
 
 
 class Forces(NamedTuple):
-    """Forces along the way of the roll, N; those that hold it back are negative.
+    """Forces along the path of the roll, N; forces that oppose its motion are negative.
 
     Attributes:
-        gas: pressure times the area of the tube.
-        weight: of the roll, which sinks as it gets thinner.
-        bending: of the film.
-        peel: of layers that come apart.
-        loss: over the speed.
-        inertia: of the change of the roll's inertia, -M' v^2 / 2.
+        gas: pressure times cross-section of the tube.
+        weight: force due to the weight of the roll, whose axis sinks as the roll becomes thinner.
+        bending: force due to the bending energy of the film.
+        peel: force that separates the layers of the film.
+        loss: force proportional to the speed.
+        inertia: force -M' v^2 / 2 due to the change in the effective mass M of the roll.
     """
 
     gas: Scalar
@@ -240,16 +255,17 @@ class Forces(NamedTuple):
 
 
 _CREEPING = 1e-4
-"""Speed (m/s) at which the peel force has reached tanh(1) = 76 % of its value."""
+"""Speed (m/s) at which the peel force reaches tanh(1) = 76 % of its full value."""
 
 
 def roll_forces(unrolling: Unrolling, paid_out: Scalar, speed: Scalar, pressure: Scalar) -> Forces:
-    """The forces on the roll, but that of a hand.
+    """Return the forces on the roll except that of a hand.
 
     Arguments:
-        paid_out: length of the arm that is paid out, m.
-        speed: of the roll, m/s.
-        pressure: in what is paid out, above that of the room, Pa.
+        unrolling: the unrolling arm.
+        paid_out: unrolled length of the arm, m.
+        speed: speed of the roll, m/s.
+        pressure: gauge pressure in the unrolled part, Pa.
     """
 
     def slope(of: Any) -> Scalar:

@@ -1,4 +1,4 @@
-"""What predicts channels for a run."""
+"""Models that predict the channels of a run."""
 
 from typing import TYPE_CHECKING
 
@@ -69,6 +69,6 @@ from ._scenes import (
 from ._several import SeveralModels as SeveralModels, as_stated as as_stated
 from .capabilities import Derived as Derived, Integration as Integration
 
-# Type checkers are to complain of what is not there.
+# Type checkers must report names that do not exist.
 if not TYPE_CHECKING:
     __getattr__ = _earlier(__name__)

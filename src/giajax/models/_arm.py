@@ -1,4 +1,4 @@
-"""The arm as a model: from commands and wind to positions and joint angles."""
+"""Model of the arm: from commands and wind to positions and joint angles."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -80,16 +80,16 @@ if TYPE_CHECKING:
 
 Row = Float[np.ndarray, " joint"]
 
-# Rows that a rate is estimated from where none is recorded; enough to average noise, few enough
-# for the motion to be straight.
+# Number of rows for the estimate of a rate that is not recorded: enough to average noise, and few
+# enough for the motion to be approximately linear in time.
 _ROWS = 8
 
 
 def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
-    """Joint angles (rad) and rates (rad/s) that `[initial]` states; zero where it says nothing.
+    """Return joint angles (rad) and rates (rad/s) from `[initial]`; zero if they are not given.
 
     Raises:
-        InputError: a list of another length, or `first_row` without what it needs.
+        InputError: a list has the wrong length, or the data that `first_row` requires are missing.
     """
     section = run.definition.section(InitialSection)
     if not section.first_row:
@@ -123,24 +123,23 @@ def initial_state(run: Run, times: np.ndarray, joints: int) -> tuple[Row, Row]:
             angles[joint] = line[1] if np.sum(measured) >= 2 else _swung(times, rate)
         else:
             raise InputError(
-                f"[initial] of '{run.name}' states first_row = true, but {name}_angle has no "
-                f"value in the first row"
-                ": record the angle of every joint, state angle_deg, or let the fit "
-                "find the state with free = true"
+                f"[initial] of '{run.name}' sets first_row = true, but {name}_angle has no value "
+                "in the first row: record the angle of every joint, set angle_deg, or let the fit "
+                "estimate the initial state with free = true"
             )
         recorded = recorded and bool(np.isfinite(rate[0]))
         rates[joint] = rate[0] if np.isfinite(rate[0]) else line[0]
     if not (recorded or section.free):
         raise InputError(
-            f"[initial] of '{run.name}' states first_row = true, but the rate of a joint has no "
-            f"value in the first row: record the rates, or let the fit estimate them with"
-            " free = true"
+            f"[initial] of '{run.name}' sets first_row = true, but the rate of a joint has no "
+            "value in the first row: record the rates, or let the fit estimate them with free = "
+            "true"
         )
     return angles, rates
 
 
 def _swung(times: np.ndarray, rate: np.ndarray) -> float:
-    """About the angle at the first row of a joint that swings about 0, from its rates alone."""
+    """Estimate the initial angle of a joint that oscillates about 0 from its rates alone."""
     known = np.isfinite(rate)
     if np.sum(known) < 2:
         return 0.0
@@ -150,14 +149,14 @@ def _swung(times: np.ndarray, rate: np.ndarray) -> float:
 
 
 class InitialState(eqx.Module):
-    """Joint angles and rates at the first sample; parameters of one run, if it says so."""
+    """Joint angles and rates at the first sample; parameters of a run if it frees them."""
 
     angle: Float[Array, " joint"] = parameter(INITIAL.angle)
     rate: Float[Array, " joint"] = parameter(INITIAL.rate)
 
 
 class ArmInputs(eqx.Module):
-    """What the arm needs of a run: times, command, wind, drive torque, initial state, pressures."""
+    """Inputs of the arm in a run: times, command, wind, drive torque, initial state, pressures."""
 
     times: Float[Array, " sample"]
     command: Signal
@@ -165,19 +164,21 @@ class ArmInputs(eqx.Module):
     torque: Signal | None
     initial: InitialState
     pressure: Pressures | None = None
-    # What a column is of that the model has no sensor for is looked up while a program is traced.
+    # Registered sensors are looked up during tracing, so they are part of the key of a program.
     own_sensors: tuple[type, ...] = eqx.field(static=True, default_factory=own_sensors)
 
 
 def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
-    """A run prepared for an arm, whose angle sensors saw the first row where it starts from that.
+    """Prepare a run for an arm; with `first_row`, the initial state is corrected by the encoder.
 
     Raises:
-        InputError: a run of another model, of another number of joints, or whose wind or initial
-            state the arm cannot have.
+        InputError: the run belongs to another model, has another number of joints, or its wind or
+            initial state is not possible for the arm.
     """
     if run.model != "arm" or run.times is None:
-        raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
+        raise InputError(
+            f"'{run.name}' is a run of the {run.model} model: give a run of the arm model"
+        )
     times = run.times
     wind = wind_of(arm, run)
     check_wind(arm, wind)
@@ -201,7 +202,7 @@ def arm_inputs(arm: Arm, encoder: Encoder, run: Run) -> ArmInputs:
 
 
 def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
-    """Pressures of the joints that have columns of them."""
+    """Return the pressures of the joints that have pressure columns, or None."""
     kinds = ("joint_pressure_first", "joint_pressure_second")
     numbers = {
         run.channels[name].index for name in run.commands if run.channels[name].kind in kinds
@@ -215,7 +216,7 @@ def _pressures(arm: Arm, run: Run, times: np.ndarray) -> Pressures | None:
 
 
 def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
-    """Commands, torques or pressures of all joints; those without a column are zero."""
+    """Return commands, torques or pressures of all joints, with zeros for missing columns."""
     values = np.zeros((len(times), arm.count))
     for name, column in run.commands.items():
         if run.channels[name].kind != kind:
@@ -224,20 +225,19 @@ def _table(arm: Arm, run: Run, times: np.ndarray, kind: str) -> np.ndarray:
         if joint > arm.count:
             raise InputError(
                 f"'{run.name}' drives joint {joint}, but the arm has only {arm.count} joints: "
-                f"remove "
-                "the column, or give a longer arm"
+                "remove the column, or give an arm with more links"
             )
         values[:, joint - 1] = column
     return values
 
 
 def wind_of(arm: Arm, run: Run) -> Signal | None:
-    """The wind that a run states, m/s: of the arm, or of each link; None where it states none.
+    """Return the wind of a run, m/s, for the arm or for each link; None if it has none.
 
-    Where a link has no columns, it has the wind of the arm.
+    A link without wind columns has the wind of the arm.
 
     Raises:
-        InputError: the wind of a link that the arm does not have.
+        InputError: the wind of a link is given that the arm does not have.
     """
     section = run.definition.section(WindSection)
     if section.velocity_m_per_s is not None:
@@ -254,8 +254,7 @@ def wind_of(arm: Arm, run: Run) -> Signal | None:
             if (channel.index or 0) > arm.count:
                 raise InputError(
                     f"'{run.name}' has a wind column for link {channel.index}, but the arm has "
-                    f"only "
-                    f"{arm.count} links: remove the column, or give a longer arm"
+                    f"only {arm.count} links: remove the column, or give an arm with more links"
                 )
             if (channel.index is not None) == own:
                 places = slice(None) if channel.index is None else channel.index - 1
@@ -265,23 +264,23 @@ def wind_of(arm: Arm, run: Run) -> Signal | None:
     return logged(times, rows, section.interpolation)
 
 
-# Of a prediction, where none is stated. Positions of the 20 m arm are then right to about 1e-6 m,
-# far below the noise of a camera.
+# Default for a prediction. With it, positions of the 20 m arm are accurate to about 1e-6 m, far
+# below the noise of a camera.
 _TOLERANCE = 1e-7
 
-# Fifty times what the paper's arm needs for 25 s. A trial step of a fit that makes the chain
-# stiffer than that is given up, which costs seconds instead of minutes. Longer runs get more.
+# Fifty times the number of steps that the arm in the paper takes for 25 s. A trial step of a fit
+# that makes the chain stiffer is rejected after seconds instead of minutes. Longer runs get more.
 _MAX_STEPS = 50_000
 _STEPS_PER_SECOND = 2_000
 
 
 def _array(value: Any) -> Any:
-    # Strongly typed: another tolerance must not compile anything anew.
+    # With a strong type, another tolerance does not cause a new compilation.
     return None if value is None else jnp.asarray(value, dtype=jnp.result_type(float))
 
 
 def _method(solver: Solver) -> Solver:
-    """A word as it is, and the solver of a text."""
+    """Return a solver name unchanged, and construct the solver from a call as text."""
     return solver_named(solver) if "(" in str(solver) else solver
 
 
@@ -292,7 +291,7 @@ def _controller(given: Any) -> Any:
 
     if isinstance(given, diffrax.StepTo):
         raise InputError(
-            "StepTo holds the times of a single run: give an adaptive step size controller"
+            "StepTo contains the step times of a single run: give an adaptive step size controller"
         )
     return from_text(given) if isinstance(given, str) else given
 
@@ -302,21 +301,22 @@ class ArmModel(AbstractModel):
 
     Arguments:
         arm: the arm; its parameters keep their own paths (`air.drag_coefficient`).
-        tolerance: relative and absolute tolerance of the integrator; where it is left open (None),
-            a fit chooses it, and a prediction takes 1e-7.
-        solver: as of `giajax.simulate`.
-        stepsize_controller: likewise, an adaptive one; its tolerances are those of the model.
-        max_steps: step limit of one simulation.
-        sensors: what stands between the motion and its recording; exact by default.
-        steps_for: what the integrator's steps are short enough for; see `giajax.simulate`.
+        tolerance: relative and absolute tolerance of the integrator. If it is None, a fit chooses
+            it, and a prediction uses 1e-7.
+        solver: integration method, as in `giajax.simulate`.
+        stepsize_controller: adaptive step size controller, as in `giajax.simulate`; its tolerances
+            are replaced by those of the model.
+        max_steps: maximum number of steps of one simulation.
+        sensors: sensors that record the motion; exact by default.
+        steps_for: purpose for which the integrator's steps are short enough; see `giajax.simulate`.
     """
 
     kind: ClassVar[str] = "arm"
 
     arm: Arm = inline()
     tolerance: Scalar | None = eqx.field(default=None, converter=_array)
-    # Its motion changes smoothly with the parameters; that of an explicit method, whose steps stiff
-    # springs bring to the limit of stability, does not.
+    # With springs5 the motion is a smooth function of the parameters. It is not with an explicit
+    # method, whose steps are at the limit of stability if the springs are stiff.
     solver: Solver = eqx.field(default="springs5", static=True, converter=_method)
     max_steps: int = eqx.field(default=_MAX_STEPS, static=True)
     sensors: Sensors = inline(default_factory=Sensors)
@@ -332,7 +332,7 @@ class ArmModel(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The arm and the sensors that the sidecars state, which must agree.
+        """Return the model with the arm and sensors in the sidecars, which must agree.
 
         Raises:
             InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
@@ -344,54 +344,54 @@ class ArmModel(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The arm, its sensors and the settings of the integrator that `definition()` gave."""
+        """Return the model with the arm, sensors and integrator settings from `definition()`."""
         sections = {key: definition[key] for key in ("arm", *SECTIONS) if key in definition}
         stored = Definition.parse(sections, "stored result")
         return cls.stated_in(stored, **definition["simulation"])
 
     @classmethod
     def stated_in(cls, definition: Definition, **integration: Any) -> Self:
-        """The arm and the sensors that a file states."""
+        """Return the model with the arm and the sensors that a definition gives."""
         arm = arm_from_definition(definition)
         return cls(arm, sensors=sensors_from_definition(definition), **integration)
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """The initial state, where the run says `[initial] free = true`."""
+        """Return the paths of the initial state if the run sets `[initial] free = true`."""
         free = run.definition.section(InitialSection).free
         return ("initial.angle", "initial.rate") if free else ()
 
     def initial_section(self, inputs: ArmInputs) -> dict[str, Any]:
-        """Angles and rates at the first sample, as the arm has them: without the sensors."""
+        """Return the true angles and rates at the first sample, without the errors of sensors."""
         first = inputs.initial
         state = {INITIAL.angle.path: first.angle, INITIAL.rate.path: first.rate}
         return InitialSection.keys_of(state)
 
     def scene(self, run: Run) -> Scene:
-        """The links, their markers and the tip, in the frame of the base."""
+        """Return the links, their markers and the tip in the base frame."""
         motion = _trajectory(self, self.prepare(run))
         if not motion.successful:
             raise SimulationError(motion.message)
         return arm_scene(motion, self.sensors.marker)
 
     def failure(self, inputs: ArmInputs) -> str:
-        """What the simulation says."""
+        """Return the message of the simulation."""
         return self.trajectory(inputs).message
 
     def prepare(self, run: Run) -> ArmInputs:
-        """Sample times, command, wind and initial state of an arm run."""
+        """Return sample times, command, wind and initial state of an arm run."""
         self.sensors.pictures(run.channels[name] for name in run.observations)
         for each in self.sensors.sensor.values():
-            # Those of giajax are tried in its tests.
+            # Built-in sensors are tested in the test suite.
             if not type(each).__module__.startswith("giajax."):
                 check_sensor(each, self.arm)
         return arm_inputs(self.arm, self.sensors.encoder, run)
 
     def trajectory(self, inputs: ArmInputs) -> Trajectory:
-        """Motion of the arm at the samples of a prepared run, as it is: without sensors."""
+        """Simulate the true motion of the arm at the samples of a prepared run, without sensors."""
         return self._motion(inputs, inputs.times, inputs.times[-1])
 
     def _motion(self, inputs: ArmInputs, times: Array, end: Array) -> Trajectory:
-        # Below this a step is all rounding, which matters in 32-bit.
+        # Below this tolerance rounding errors dominate a step, which occurs in 32-bit arithmetic.
         tolerance = jnp.maximum(self._tolerance(), 50 * jnp.finfo(jnp.result_type(float)).eps)
         return integrate(
             self.arm,
@@ -411,7 +411,7 @@ class ArmModel(AbstractModel):
         )
 
     def predict(self, inputs: ArmInputs, channels: tuple[str, ...]) -> Prediction:
-        """Predicted channels (SI) as the sensors show them, each (sample,)."""
+        """Return predicted channels (SI) as recorded by the sensors, each of shape (sample,)."""
         return recorded_channels(
             self.sensors,
             lambda times, end: self._motion(inputs, times, end),
@@ -422,7 +422,7 @@ class ArmModel(AbstractModel):
     def unseen(
         self, inputs: ArmInputs, channels: tuple[str, ...]
     ) -> dict[str, npt.NDArray[np.bool_]]:
-        """Where a point is behind a camera, or out of its picture."""
+        """Return the samples at which a point is behind its camera or outside the image."""
         return {name: outside for name, (_, outside) in self._unseen(inputs, channels).items()}
 
     def _unseen(
@@ -433,12 +433,12 @@ class ArmModel(AbstractModel):
         return jax.tree.map(np.asarray, found)
 
     def refined(self, factor: float) -> Self:
-        """The same model with the integrator's tolerances multiplied by a factor."""
-        # By the host: the product would be a program of its own.
+        """Return the model with the tolerances of the integrator multiplied by a factor."""
+        # Computed on the host, because JAX would compile a program for this product.
         return dataclasses.replace(self, tolerance=_array(float(self._tolerance()) * factor))
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """With the steps that a parameter needs which may set moving what is at rest."""
+        """Return the model with steps for derivatives if parameters can move an arm at rest."""
         necks = self.arm.pneumatics is not None and self.arm.pneumatics.neck.radius is not None
         held = [LINKS.pressure.path] if necks else []
         moving = [path for path in paths if path.startswith(("initial.", *held))]
@@ -447,51 +447,51 @@ class ArmModel(AbstractModel):
         return dataclasses.replace(self, steps_for="derivatives")
 
     def variants(self) -> dict[str, Self]:
-        """With drag elsewhere, with C_D by Reynolds number or without, floating, or lagging."""
+        """Return variants of the model, such as another drag law, a floating arm, or a lag."""
         others = {
             name: dataclasses.replace(self, arm=arm) for name, arm in arm_variants(self.arm).items()
         }
         delay = self.sensors.camera.delay
         if delay is not None and self.arm.joints.drive_lag is None:
-            # To the first order one is the other, so that no derivative tells them apart.
+            # To first order both have the same effect, so derivatives cannot distinguish them.
             late = {CAMERA.delay.path: 0.0, JOINTS.drive_lag.path: larger(delay, 0)}
             others["joints.drive_lag = camera.delay, camera.delay = 0"] = replace(self, late)
         return others
 
     def scattering(self) -> tuple[str, ...]:
-        """Joints of one kind may be of different stiffness, and begin with different memories."""
+        """Return the stiffness factor and the initial memory, which may differ between joints."""
         alone = () if self.arm.pneumatics is not None else (JOINTS.stiffness_factor.path,)
         remembers = self.arm.joints.hysteresis.memory.strength is not None
         return (*alone, *([JOINT_MEMORY.initial.path] if remembers else []))
 
     def one_by_one(self) -> tuple[str, ...]:
-        """A drive may not move."""
+        """Return the drive gain, because a single drive may not move."""
         return (JOINTS.drive_gain.path,)
 
     def rather(self) -> dict[str, str]:
-        """Joints of balloons have a memory, and friction by rate is what imitates it."""
+        """Prefer a joint memory to friction, because the joints of inflated links have one."""
         memory = JOINT_MEMORY.strength.path
         names = [name for name in self.variants() if name.startswith(memory)]
         return {JOINTS.friction.path: names[0]} if names else {}
 
     def freed_with(self) -> dict[str, tuple[str, ...]]:
-        """The loop of a memory is as wide as its yield angle, which is not known either."""
+        """Free the yield angle with a memory, because it determines the width of the loop."""
         return {JOINT_MEMORY.strength.path: (JOINT_MEMORY.yield_angle.path,)}
 
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
-        """Clock and scale of an uncalibrated camera, and the diameter of the links."""
+        """Return priors for clock and scale of an uncalibrated camera, and for the diameter."""
         own = [run for run in runs if run.model == self.kind]
         return usual_uncertainty(self.arm, self.sensors, own) if own else {}
 
     def integration(self) -> Integration:
-        """Its solver, and the relative and absolute tolerance."""
+        """Return the solver and the tolerance, which is both relative and absolute."""
         return Integration(
             self.solver if isinstance(self.solver, str) else as_text(self.solver),
             None if self.tolerance is None else float(self.tolerance),
         )
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
-        """The same arm with another solver or tolerance."""
+        """Return the same arm with another solver or tolerance."""
         if tolerance is not None and not 0 < tolerance < np.inf:
             raise InputError(
                 f"the tolerance is {tolerance:g}, but must be positive: give a number such as "
@@ -504,7 +504,7 @@ class ArmModel(AbstractModel):
         return _array(_TOLERANCE) if self.tolerance is None else self.tolerance
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """The scale that motion alone cannot determine, and what C_D and sensors refer to."""
+        """Return the conditions on scale, clock, controller, sensors, preset and cameras."""
         sentences = scale_conditions(self, self.arm, free, runs)
         sentences += clock_conditions(self, self.arm, free, runs)
         sentences += controller_conditions(self.arm, free, runs)
@@ -518,7 +518,7 @@ class ArmModel(AbstractModel):
         return sentences
 
     def definition(self) -> dict[str, Any]:
-        """The arm's constants, its sensors and the settings of the integrator."""
+        """Return the constants of the arm, its sensors and the integrator settings."""
         integration, controller = self.integration(), {}
         if self.stepsize_controller is not None:
             controller = {"stepsize_controller": as_text(self.stepsize_controller)}

@@ -1,4 +1,4 @@
-"""On what a fit of an arm is conditional: the scale of all forces, and what sensors refer to."""
+"""Conditions of the fit of an arm: the scale of all forces, and the references of sensors."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ from ..schema.parameters import declared, elements, find, get, replace
 from ._arm_sensors import Sensors
 from ._protocol import AbstractModel
 
-# Scaling all of these together leaves every motion unchanged: only ratios are determined.
+# Multiplying all of these by one factor leaves every motion unchanged: only ratios are determined.
 SCALE = (
     "links.mass",
     "links.inertia_transverse",
@@ -75,7 +75,7 @@ SCALE = (
     "point_masses.drag_area",
 )
 
-# What is in seconds, and by which power stamps that are longer change it; C_D is in none.
+# Powers of the length of a second in parameters whose units contain seconds. C_D has no such unit.
 IN_SECONDS = {
     "joints.pitch_stiffness": -2,
     "joints.yaw_stiffness": -2,
@@ -87,18 +87,19 @@ IN_SECONDS = {
     "joints.laws.end_stops.stiffness": -2,
 }
 
-# Drives that lag, friction (by a rate in rad/s), and what drifts.
+# Parameters that fix the unit of time: drive lag, friction (regularised by a rate), and drifts.
 _BY_THE_SECOND = ("joints.drive_lag", "joints.friction", "joints.stiffness_drift")
-_SECONDS = ("angular_velocity", "velocity", "acceleration", "force", "torque")  # of channels
+_SECONDS = ("angular_velocity", "velocity", "acceleration", "force", "torque")  # quantities
 
-# Force of a muscle at a pressure: a known one if they are held, and a part of that scale if not.
-# The diameter counts by its square. The controller divides by them: to commands they are nothing.
+# Parameters that scale the force of a muscle at a given pressure. If they are held, they fix the
+# scale; if not, they belong to it. The diameter enters squared. With commanded angles they have no
+# effect, because the controller divides by them.
 STRENGTHS = ("muscle.effectiveness", "muscle.force_limit", "muscle.diameter")
 
-# Beside `STRENGTHS`, what turns a commanded angle into pressures.
+# Parameters besides `STRENGTHS` by which the controller converts a commanded angle to pressures.
 _OF_THE_CONTROLLER = ("geometry.", "alpha.", "beta.", "torque", "muscle.", "drive.passive")
 
-# Those of them that are the inertia, and not what moves it.
+# Parameters of `SCALE` that are inertia rather than forces.
 MASSES = (
     "links.mass",
     "links.inertia_transverse",
@@ -109,17 +110,15 @@ MASSES = (
     "point_masses.mass",
 )
 
-# Laws of one's own, and those among them that are giajax's.
+# Prefixes of user-defined laws, and of those that are part of giajax.
 _OWN = ("air.law.", "joints.laws.")
 _KNOWN = ("joints.laws.hardening.", "joints.laws.end_stops.")
 
-_DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D is referred to these (eq. 1)
-_COMMANDED = (
-    "relative to the clock of the commands, so that a lag of the drives has the same effect"
-)
+_DRAG_AREA = ("air.density", "links.length", "links.diameter")  # C_D refers to these (eq. 1)
+_COMMANDED = "relative to the clock of the commands, so a lag of the drives has the same effect"
 _LENS = (
-    "relative to the middle of the straight arm and to half of its length, because positions do "
-    "not contain the distance of the camera"
+    "relative to the middle of the straight arm and to half of its length, because recorded "
+    "positions do not contain the distance from the camera"
 )
 _SENSORS: dict[str, str] = {
     "camera.delay": _COMMANDED,
@@ -133,12 +132,12 @@ _SENSORS: dict[str, str] = {
 
 
 def preset_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """That held numbers are those of a preset because the sidecars of runs name none."""
+    """Return a sentence on held values that come from a preset, because no sidecar names one."""
     fitted = {path.partition("[")[0] for path in free}
     taken = from_default_preset(runs[0].definition.section(ArmSection)) if runs else {}
 
     def is_taken(path: str, value: Any) -> bool:
-        # A model that was built by hand has its own.
+        # A model that was not made from these sidecars may have other values.
         if path == "joint_axes":
             return arm.joints.axes == named_axes(value, arm.count)
         return path not in fitted and bool(np.all(np.asarray(get(arm, path)) == value))
@@ -147,20 +146,20 @@ def preset_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> lis
     return [preset_sentence(held)] if held else []
 
 
-# What is known of a camera and an arm that nobody calibrated: exposure, transport and the start of
-# a recording by hand take a frame and 50 ms at most; 29.97 frames a second are called 30; a scale
-# of known length is read to a hundredth, as is the width of a balloon.
+# Uncertainties of an uncalibrated camera and arm. Exposure, transmission and a manual start of the
+# recording add at most one frame and 50 ms. A nominal rate of 30 frames per second may be 29.97. A
+# scale from a known length and the width of a balloon are measured to one per cent.
 _LATEST = 0.05
-_FRAME = 0.1  # rows that are farther apart are not all of its pictures
+_FRAME = 0.1  # rows farther apart than this do not contain all frames
 _CLOCK_RATE = 1e-3
 _SIZE = 1e-2
 
 
 def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[str, Prior]:
-    """What of camera and links is never known exactly; what a sidecar states of a camera is.
+    """Return priors for the uncertain parameters of camera and links that no sidecar gives.
 
-    The delay is expected in the middle of what it may be: half of a frame and 25 ms, and as much
-    is its deviation.
+    The expected delay is the middle of the possible range, half a frame plus 25 ms. The standard
+    deviation has the same value.
     """
     frames, positions = [], False
     for run in runs:
@@ -172,7 +171,7 @@ def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[s
         if (recorded or pictures) and run.times is not None and len(run.times) > 1:
             frames.append(min(float(np.median(np.diff(run.times))), _FRAME))
     known: dict[str, Prior] = {}
-    # The clock of a camera of its own is that camera's.
+    # A camera with its own delay has no uncertain common clock.
     own = any(pinhole.delay is not None for pinhole in sensors.camera.pinholes.values())
     if frames and not own:
         half = round((max(frames) + _LATEST) / 2, 6)
@@ -191,7 +190,7 @@ def usual_uncertainty(arm: Arm, sensors: Sensors, runs: Sequence[Run]) -> dict[s
 def scale_conditions(
     model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
 ) -> list[str]:
-    """The scale that motion alone cannot determine, and what C_D refers to: a sentence for each."""
+    """Return a sentence on the scale that motion cannot determine, and one on the area of C_D."""
     fitted = {path.partition("[")[0] for path in free}
     kinds = {channel.kind for run in runs for channel in run.channels.values()}
     present = declared(model)
@@ -199,8 +198,8 @@ def scale_conditions(
         del present["air.drag_coefficient"]
     strengths = [p for p in STRENGTHS if p in present and "joint_pressure_first" in kinds]
     scaled = [path for path in free if path.partition("[")[0] in (*SCALE, *strengths)]
-    # A known force sets the scale: a drive's torque, the lift of displaced air, or the push of
-    # a changing wind on it; or forces that were measured on a bench.
+    # A known force fixes the scale: the torque of a drive, the buoyancy of displaced air, the force
+    # of a changing wind on the displaced air, or forces measured on a test bench.
     driven = "joint_torque" in kinds
     lifted = arm.buoyancy is not None and float(arm.gravity) != 0
     changing = any(run.winds for run in runs) or arm.air.wind_field is not None
@@ -215,8 +214,8 @@ def scale_conditions(
     if scaled and not (driven or lifted or blown or measured):
         if strengths and not fitted & set(strengths):
             sentences.append(
-                f"{', '.join(scaled)}: holds for {_values(model, strengths)}, because the "
-                f"strength of the muscles converts pressures to forces"
+                f"{', '.join(scaled)}: valid for {_values(model, strengths)}, because the "
+                "strength of the muscles converts pressures to forces"
             )
         else:
             held = [path for path in SCALE if path in present and path not in fitted]
@@ -226,33 +225,41 @@ def scale_conditions(
             other = "stiffness, strength of muscles" if strengths else "stiffness"
             sentences.append(
                 f"{', '.join(scaled)}: determined only per unit of mass, because scaling masses, "
-                f"inertias, drag, {other} and damping together leaves the motion unchanged; "
-                + (f"held at {_values(model, held)}" if held else "none of these is fixed")
-                + f", and the mass of link {', '.join(map(str, inside))} is given by its "
-                f"structural point masses" * bool(inside)
+                f"inertias, drag, {other} and damping together leaves the motion unchanged"
+                + (
+                    f", and the scale is fixed by {_values(model, held)}"
+                    if held
+                    else ", and no parameter fixes the scale"
+                )
+                + (
+                    f" (structural point masses give the mass of link{'s' * (len(inside) > 1)} "
+                    f"{', '.join(map(str, inside))})"
+                )
+                * bool(inside)
             )
     area = [path for path in _DRAG_AREA if path not in fitted]
     if "air.drag_coefficient" in fitted and area:
-        sentences.append(f"air.drag_coefficient: holds for {_values(model, area)}")
+        sentences.append(f"air.drag_coefficient: valid for {_values(model, area)}")
     own = sorted(p for p in fitted if p.startswith(_OWN) and not p.startswith(_KNOWN))
     if own:
         sentences.append(
             f"{', '.join(own)}: not checked, because it is unknown how the force of a "
-            f"user-defined law depends on them; as in every model, the motion depends only on the "
-            f"ratios of masses, inertias and forces"
+            "user-defined law depends on them (as in every model, the motion depends only on the "
+            "ratios of masses, inertias and forces)"
         )
     if "point_masses.drag_area" in fitted and "air.density" not in fitted:
         density = _values(model, ["air.density"])
-        sentences.append(f"point_masses.drag_area: holds for {density}")
+        sentences.append(f"point_masses.drag_area: valid for {density}")
     return sentences
 
 
 def clock_conditions(
     model: AbstractModel, arm: Arm, free: Sequence[str], runs: Sequence[Run]
 ) -> list[str]:
-    """What holds for the clock of the runs, where nothing else says how long a second is.
+    """Return the condition on the clock of the runs if nothing else fixes the unit of time.
 
-    A value that is held, and in seconds, says it, and so does what is recorded by the second.
+    A held parameter whose unit contains seconds fixes it, and so does a recorded quantity such as a
+    rate.
     """
     names = {path: path.partition("[")[0] for path in free}
     counted = {path: IN_SECONDS[name] for path, name in names.items() if name in IN_SECONDS}
@@ -274,20 +281,19 @@ def clock_conditions(
     if set(counted.values()) != {-1, -2} or any(known):
         return []
     changes = [
-        f"{', '.join(path for path, each in counted.items() if each == power)} {shown}"
+        f"{', '.join(path for path, each in counted.items() if each == power)} by {shown}"
         for power, shown in ((-2, "1 / r^2"), (-1, "1 / r"))
     ]
     return [
         f"{', '.join(counted)}: expressed in the seconds of the time stamps, because no other "
-        f"quantity fixes the unit of time: a clock that runs r times as fast makes"
-        f" {' and '.join(changes)} "
-        "times as large, and the residuals do not change (nor do those of a film alone if the "
-        "commands are short steps)"
+        "quantity fixes the unit of time: a clock that runs r times as fast scales "
+        f"{' and '.join(changes)} and leaves the residuals unchanged (if the commands are short "
+        "steps, a faster clock of the film alone has the same effect)"
     ]
 
 
 def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """What the controller of muscles is taken to know: a sentence, or none."""
+    """Return a sentence on what the controller of muscles is assumed to know, if it applies."""
     known = [path for path in free if path.startswith(_OF_THE_CONTROLLER)]
     if arm.pneumatics is None or not known:
         return []
@@ -295,32 +301,32 @@ def controller_conditions(arm: Arm, free: Sequence[str], runs: Sequence[Run]) ->
     if all(name in run.channels for run in runs if run.model == "arm" for name in names):
         return []
     return [
-        f"{', '.join(known)}: where angles are commanded, the controller is assumed to use these "
-        f"values; if the real controller used other values, record the pressures"
+        f"{', '.join(known)}: for commanded angles, the controller is assumed to use these "
+        "values, so record the pressures if the real controller used other values"
     ]
 
 
 def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """What parameters of the sensors refer to: a sentence for each."""
+    """Return a sentence for each fitted sensor parameter on what it refers to."""
     fitted = {path.partition("[")[0] for path in free}
     sentences = [f"{path}: {sentence}" for path, sentence in _SENSORS.items() if path in fitted]
     encoder = sorted(fitted & {"encoder.offset", "encoder.scale", "encoder.rate_offset"})
     read = [run for run in runs if run.definition.section(InitialSection).first_row]
     if encoder and any(not run.definition.section(InitialSection).free for run in read):
         sentences.append(
-            f"{', '.join(encoder)}: the state in the first row was computed with the start value; "
-            f"state free = true in [initial] to fit this state too"
+            f"{', '.join(encoder)}: the state in the first row was computed with the start value, "
+            "so set free = true in [initial] to fit this state too"
         )
     if "camera.scale" in fitted and "links.length" not in fitted:
         sentences.append(
-            f"camera.scale: holds for {_values(model, ['links.length'])}, because a larger scale "
-            f"has the same effect as a longer arm"
+            f"camera.scale: valid for {_values(model, ['links.length'])}, because a larger scale "
+            "has the same effect as a longer arm"
         )
     return sentences
 
 
 def _links_in_points(arm: Arm) -> list[int]:
-    """Links whose mass is in their points, and not `links.mass`."""
+    """Return the links whose mass is given by point masses and not by `links.mass`."""
     fixed = arm.point_masses
     if fixed is None:
         return []
@@ -330,7 +336,7 @@ def _links_in_points(arm: Arm) -> list[int]:
 
 
 def _values(model: AbstractModel, paths: Sequence[str]) -> str:
-    """Paths with their values; of an array that is not uniform, the range."""
+    """Return paths with their values, or the range of values of a non-uniform array."""
     shown = []
     for path in paths:
         parameter = find(model, path)
@@ -345,21 +351,21 @@ _ADDED = AIR.added_mass_coefficient
 
 
 def arm_variants(arm: Arm) -> dict[str, Arm]:
-    """Arms that differ in one choice of `[arm]`, by the key and the value that make them."""
+    """Return arms that differ in one choice of `[arm]`, by the key and value of this choice."""
     others, air = {}, arm.air
 
     def with_air(**changes: Any) -> Arm:
         return dataclasses.replace(arm, air=dataclasses.replace(air, **changes))
 
     if air.law is not None:
-        # In place of a law of one's own, those of giajax.
+        # The built-in laws are tried instead of a user-defined one.
         usual = AIR.drag_coefficient.default
         for word in ("strip", "centre"):
             others[f"arm.drag = {word}"] = with_air(law=None, drag=word, drag_coefficient=usual)
     elif air.drag == "centre":
         others["arm.drag = strip"] = with_air(drag="strip")
     else:
-        # Drag at the centres has the velocity along a link already.
+        # Drag at the centres includes the velocity along a link already.
         others["arm.drag = centre"] = with_air(drag="centre", axial_coefficient=None)
     if air.law is None:
         curve = "cylinder" if air.drag_curve == "constant" else "constant"
@@ -390,8 +396,8 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         other = "inertia" if air.added_mass == "kirchhoff" else "kirchhoff"
         others[f"arm.added_mass = {other}"] = with_air(added_mass=other)
     else:
-        # The coefficient is tested as a parameter, with all terms that follow from it. In other
-        # engines it is inertia alone; and drag that is wrong along a link hides what it does.
+        # The complete added mass is tested as a parameter. Other engines have only its inertia. A
+        # wrong drag along the links can hide its effect, so both changes are also tried together.
         inertia = f"arm.added_mass = inertia, {_ADDED.path} = {_ADDED.default:g}"
         others[inertia] = _displacing(arm, dataclasses.replace(air, added_mass="inertia"))
         if air.drag == "centre" and air.law is None:
@@ -401,7 +407,7 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
         for depth in (None, BUOYANCY.trim_depth.default):
             try:
                 floating = _floating(arm, depth)
-            except InputError:  # It is too heavy to float, as the rods of a pendulum are.
+            except InputError:  # the arm is too heavy to float, such as the rods of a pendulum
                 break
             below = "" if depth is None else f", trim_depth = {depth:g} m"
             others[f"arm.trim = true{below}"] = floating
@@ -409,7 +415,7 @@ def arm_variants(arm: Arm) -> dict[str, Arm]:
 
 
 def _displacing(arm: Arm, air: Air) -> Arm:
-    """The arm in that air, of which its links move as much as they displace."""
+    """Return the arm with added inertia equal to the mass of the displaced air."""
     coefficient = jnp.asarray(_ADDED.default, jnp.result_type(float))
     other = dataclasses.replace(
         arm, air=dataclasses.replace(air, added_mass_coefficient=coefficient)
@@ -420,19 +426,19 @@ def _displacing(arm: Arm, air: Air) -> Arm:
 
 
 def _floating(arm: Arm, depth: float | None) -> Arm:
-    """The arm with trim weights that make each link float."""
+    """Return the arm with trim weights that make each link neutrally buoyant."""
     below = None if depth is None else jnp.asarray(depth, jnp.result_type(float))
     other, ratio = _afloat(arm, below)
     held: Any = other.buoyancy
     length, place = np.asarray(arm.links.length), np.asarray(held.trim_position)
     if np.any(np.asarray(held.trim_mass) < 0) or np.any((place < 0) | (place > length)):
-        raise InputError("no trim weights make this arm float")
+        raise InputError("this arm cannot be made to float with trim weights")
     return _moved_alike(other, arm, float(ratio))
 
 
-@eqx.filter_jit  # one program where each operation alone would be one
+@eqx.filter_jit  # one compiled program instead of one for each operation
 def _afloat(arm: Arm, below: Array | None) -> tuple[Arm, Scalar]:
-    """A floating arm, and how many times as heavy it is."""
+    """Return a floating arm, and the ratio of its mass to that of the given arm."""
     other = dataclasses.replace(
         arm,
         buoyancy=Buoyancy(trim_position=arm.links.length / 2, trim_depth=below),
@@ -443,14 +449,15 @@ def _afloat(arm: Arm, below: Array | None) -> tuple[Arm, Scalar]:
 
 
 def _moved_alike(other: Arm, arm: Arm, ratio: float) -> Arm:
-    """An arm that is so many times as heavy as another one, and moves as that one does.
+    """Return the heavier arm `other` with forces scaled so that it moves like `arm`.
 
-    Positions do not show how heavy an arm is: all that moves it grows by as much, so that only
-    what is new is different. Where an arm has weight, that fixes the scale, and nothing grows.
+    Positions do not determine the mass of an arm. All forces are therefore multiplied by the mass
+    ratio, and only the effect of the new terms remains. If the arm has weight, gravity fixes the
+    scale, and forces are not changed.
     """
     if float(arm.gravity) != 0:
         return other
-    # One strength of muscles is enough: the first that their law has.
+    # Scaling one parameter of the muscle strength is enough: the first one in the muscle law.
     strength = [path for path in STRENGTHS if path in declared(arm)][:1]
     forces = [path for path in (*SCALE, *strength) if path not in MASSES and path in declared(arm)]
     return replace(other, {path: ratio * get(arm, path) for path in forces})

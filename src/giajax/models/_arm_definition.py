@@ -1,4 +1,4 @@
-"""An arm, its sensors and what stands around it, from the sections of a file, and back."""
+"""Convert between sections of a file and an arm with its sensors and obstacles."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ from ._protocol import parameter_values
 
 
 def _obstacle(entry: Obstacle) -> AbstractObstacle:
-    """What an entry of `[[arm.obstacles]]` states."""
+    """Return the obstacle of an entry of `[[arm.obstacles]]`."""
     about: dict[str, Any] = {"centre": entry.centre_m, "name": entry.name}
     if entry.shape == "plane":
         return Plane(**about | {"normal": entry.normal})
@@ -65,7 +65,7 @@ def _obstacle(entry: Obstacle) -> AbstractObstacle:
 
 
 def _entry(obstacle: AbstractObstacle) -> dict[str, Any]:
-    """The entry of `[[arm.obstacles]]` that states an obstacle."""
+    """Return the entry of `[[arm.obstacles]]` for an obstacle."""
 
     def numbers(**values: Any) -> dict[str, Any]:
         return {name: np.asarray(value, dtype=float).tolist() for name, value in values.items()}
@@ -90,10 +90,10 @@ SECTIONS = ("sensors", "camera", "landmark")
 
 
 def sensors_from_definition(definition: Definition) -> Sensors:
-    """What `[sensors]`, `[camera]` and `[landmark]` state; what they do not state is left out.
+    """Return the sensors of `[sensors]`, `[camera]` and `[landmark]`, without any others.
 
     Raises:
-        InputError: a camera without what it cannot be without.
+        InputError: a camera lacks a required key.
     """
     cameras, marks = definition.section(CamerasSection), definition.section(LandmarksSection)
     section = definition.section(SensorsSection)
@@ -107,7 +107,7 @@ def sensors_from_definition(definition: Definition) -> Sensors:
 
 
 def _pinhole(name: str, section: PinholeSection) -> Pinhole:
-    """The camera of a section, apart from the values of its parameters."""
+    """Return the camera of a section, without the values of its parameters."""
     keys = section.contents()
     needed = ["size_px", "focal_length_px"]
     if keys.get("mount", "room") == "room":
@@ -115,11 +115,11 @@ def _pinhole(name: str, section: PinholeSection) -> Pinhole:
     for key in needed:
         if keys.get(key) is None:
             raise InputError(
-                f"[camera.{name}] does not state {key}: state the best known value (a fit can "
-                f"estimate everything except size_px)"
+                f"[camera.{name}] has no {key}: give the best known value (a fit can estimate "
+                "everything except size_px)"
             )
     width, height = keys["size_px"]
-    # The middle of the picture, where the middle of its first pixel is (0, 0).
+    # The centre of the image, if the centre of its first pixel is (0, 0).
     return Pinhole(
         mount=keys.get("mount", "room"),
         size=(width, height),
@@ -128,14 +128,14 @@ def _pinhole(name: str, section: PinholeSection) -> Pinhole:
 
 
 def sensors_to_definition(sensors: Sensors) -> dict[str, dict[str, Any]]:
-    """`[sensors]`, `[camera]` and `[landmark]`: what the sensors do not leave out, as in files."""
+    """Return `[sensors]`, `[camera]` and `[landmark]` for the sensors, in the form of files."""
     values = parameter_values(sensors)
     errors = SensorsSection.keys_of(values)
     for name, each in sensors.sensor.items():
         if registered(each.registered_as, name) is not type(each):
             raise InputError(
-                f"there is no registered sensor {name}, so that a result could not refer to it: "
-                f"call giajax.register with its class"
+                f"there is no registered sensor {name}, so a result could not refer to it: call "
+                "giajax.register with its class"
             )
         _check_fields(each, f"sensor {name}")
     if sensors.sensor:
@@ -154,13 +154,12 @@ _ARGUMENTS = frozenset(signature(chain).parameters)
 
 
 def arm_from_definition(definition: Definition) -> Arm:
-    """The arm that the `[arm]` section of a sidecar, a fit definition or an arm file states.
+    """Return the arm of the `[arm]` section of a sidecar, a fit definition or an arm file.
 
-    What is not in it is that of the preset.
+    Keys that are missing have the values of the preset.
 
     Raises:
-        InputError: an unknown preset or parameter, or lists that do not have one element per
-            link.
+        InputError: a preset or parameter is unknown, or a list does not have one element per link.
     """
     section = definition.section(ArmSection)
     check_obstacles(section)
@@ -168,14 +167,14 @@ def arm_from_definition(definition: Definition) -> Arm:
     changes: dict[str, Any] = {name: keys[name] for name in _CHOICES if name in keys}
     others = dict(keys.get("parameters") or {})
     for path, value in values.items():
-        # `mass`, `air_density`
+        # Matches names such as `mass` and `air_density`.
         if (argument := path.removeprefix("links.").replace(".", "_")) in _ARGUMENTS:
             changes[argument] = value
         else:
             others.setdefault(path, value)
     if others:
         changes["parameters"] = others
-    # The number of links of a section that does not state it is the length of its lists.
+    # If the section does not give the number of links, the length of its lists is used.
     listed = next((len(value) for value in section.lists().values()), None)
     entries = section.point_masses or []
     stated = "link_inertia_kg_m2" in keys
@@ -185,7 +184,7 @@ def arm_from_definition(definition: Definition) -> Arm:
         entries, changes["mass"] = _points_beside(entries, mass, inertia_stated=stated)
     if stated:
         changes["inertia"] = keys["link_inertia_kg_m2"]
-        # A sidecar that giajax wrote has these, too.
+        # Sidecars written by giajax contain these inertias, too.
         changes |= {"inertia_transverse": None, "inertia_axial": None}
     if "muscles" in keys:
         changes |= {"muscles": keys["muscles"], "pair": _pair(section)}
@@ -198,7 +197,7 @@ def arm_from_definition(definition: Definition) -> Arm:
 
 
 def _pair(section: ArmSection) -> JointPair:
-    """The pair of muscles that the keys of a section state."""
+    """Return the pair of muscles that the keys of a section specify."""
     stated = section.muscle_blend_deg
     blend = MUSCLE_BLEND if stated is None else np.deg2rad(stated)
     correction = Correction(reading=section.muscle_correction or "continuous", blend=blend)
@@ -206,7 +205,7 @@ def _pair(section: ArmSection) -> JointPair:
 
 
 def _muscle_keys(pneumatics: Pneumatics, arm: Arm) -> dict[str, Any]:
-    """The keys that state which muscles an arm has."""
+    """Return the keys that specify the muscles of an arm."""
     named = {"pitch": ~arm.joints.is_yaw, "all": np.ones(arm.count, bool)}
     joints = {name: (np.flatnonzero(on) + 1).tolist() for name, on in named.items()}
     own = list(pneumatics.joints)
@@ -222,7 +221,7 @@ def _muscle_keys(pneumatics: Pneumatics, arm: Arm) -> dict[str, Any]:
 
 
 def _degrees(radians: float) -> float:
-    """The degrees that become these radians again, bit for bit."""
+    """Convert to degrees that convert back to exactly the same radians, if there are any."""
     degrees = float(np.rad2deg(radians))
     near = (round(degrees, 12), degrees, np.nextafter(degrees, 0), np.nextafter(degrees, np.inf))
     return next((float(each) for each in near if np.deg2rad(each) == radians), degrees)
@@ -231,10 +230,10 @@ def _degrees(radians: float) -> float:
 def _points_beside(
     entries: list[PointMass], mass: np.ndarray, *, inertia_stated: bool
 ) -> tuple[list[PointMass], np.ndarray]:
-    """The bodies beside the links, and the masses of these, where a section states an inertia.
+    """Return the point masses apart from the links, and the link masses, for a given inertia.
 
-    A sidecar that giajax wrote has the links that are not round as points, which a stated inertia
-    replaces.
+    Sidecars written by giajax contain links that are not round as point masses. A given inertia
+    replaces these.
     """
     links = np.array([entry.link for entry in entries])
     masses = np.array([float(entry.values()[POINT_MASSES.mass.path]) for entry in entries])
@@ -246,8 +245,8 @@ def _points_beside(
     if np.any(own & ~bare):
         raise InputError(
             f"arm.link_mass_kg gives link {links[own & ~bare][0]} a mass, but its structural "
-            f"point_masses already contain the mass: state link_inertia_kg_m2 too, or remove "
-            f"these points"
+            "point_masses already contain this mass: give link_inertia_kg_m2 too, or remove these "
+            "points"
         )
     return entries, mass
 
@@ -265,15 +264,15 @@ def _point_masses(entries: list[PointMass]) -> PointMasses | None:
 
 
 def _constants(part: eqx.Module) -> dict[str, Any]:
-    """Values by path of the parameters that a fit does not free by default."""
+    """Return values by path of the parameters that a fit does not free by default."""
     fitted = default_free(part)
     return {path: v for path, v in parameter_values(part).items() if path not in fitted}
 
 
 def arm_to_definition(arm: Arm) -> dict[str, Any]:
-    """The `[arm]` section of an arm: all of its constants, in the TOML vocabulary.
+    """Return the `[arm]` section of an arm: all of its constants, in the TOML vocabulary.
 
-    What a fit frees by default (stiffness, damping, C_D) is not a constant.
+    Parameters that a fit frees by default (stiffness, damping, C_D) are not constants.
     """
     constants = _constants(arm)
     usual_axes = arm.joints.axes == named_axes("pitch_yaw", arm.count)
@@ -288,7 +287,7 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
     }
     pressure = np.asarray(arm.links.pressure)
     if pressure.ndim == 0 and pressure == LINKS.pressure.default and LINKS.pressure.key is not None:
-        # It was no constant of the links in earlier versions, whose results are compared.
+        # Earlier versions did not write this constant, and their results must compare as equal.
         del facts[LINKS.pressure.key.name]
     if arm.air.added_mass_coefficient is not None or arm.air.added_mass != "kirchhoff":
         facts["added_mass"] = arm.air.added_mass
@@ -309,11 +308,11 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
         if path in keyed or path not in constants:
             continue
         declaration, value = parameter.declaration, np.asarray(constants[path])
-        # `chain` hangs trim weights at half a link's length, whatever the declared default.
+        # `chain` attaches trim weights at half the length of a link, unlike the declared default.
         usual = declaration.frozen and not declaration.optional
         usual = usual and bool(np.all(value == declaration.default))
         if not usual or path == BUOYANCY.trim_position.path:
-            # A list of equal stops is not one stop.
+            # A list of equal stops must stay a list, because its length is the number of stops.
             others[path] = value.tolist() if declaration.any_number else _plain(value)
     if others:
         facts["parameters"] = others
@@ -321,14 +320,14 @@ def arm_to_definition(arm: Arm) -> dict[str, Any]:
 
 
 def preset_of(arm: Arm | Definition) -> dict[str, Any]:
-    """What makes `[arm]` of an arm, or of a file, one that a fit begins from: preset and values.
+    """Return the preset and parameters that `[arm]` needs as the initial guess of a fit.
 
-    They go below `arm_to_definition`, which states constants alone. What is the paper's arm begins
-    at the values of its preset, and any other one at its own.
+    They complete `arm_to_definition`, which contains only constants. For the arm in the paper the
+    initial guess is its preset. Any other arm starts from its own values.
     """
     if isinstance(arm, Definition):
         name = arm.section(ArmSection).preset or DEFAULT_PRESET
-        # All that the presets of the paper differ in are constants.
+        # The presets of the arm in the paper differ only in constants.
         if name.startswith(DEFAULT_PRESET):
             return {"preset": DEFAULT_PRESET}
         arm = arm_from_definition(arm)
@@ -342,32 +341,32 @@ def preset_of(arm: Arm | Definition) -> dict[str, Any]:
 
 
 def _law_name(law: AbstractDragLaw | AbstractJointLaw | AbstractWind) -> str:
-    """What files call a law that is registered, and is made from nothing but its parameters."""
+    """Return the name of a registered law in files; it must be defined by its parameters alone."""
     name, role = name_of(type(law)), law.registered_as
     what = f"wind {name}" if role == "wind" else f"{role} law {name}"
     if registered(role, name) is not type(law):
         raise InputError(
-            f"the {what} is not registered, so that a result could not refer to it: call "
-            f"giajax.register with its class"
-            f"{' (for a plain function, write a class)' * (role == 'wind')}"
+            f"the {what} is not registered, so a result could not refer to it: call "
+            "giajax.register with its "
+            f"class{' (for a plain function, write a class)' * (role == 'wind')}"
         )
     _check_fields(law, what)
     return name
 
 
 def _check_fields(part: Any, what: str) -> None:
-    """Refuse what is not as its class makes it, parameters apart."""
+    """Refuse a part with a field, other than a parameter, that differs from its default."""
     for field in dataclasses.fields(part):
         value = getattr(part, field.name)
         if DECLARED not in field.metadata and value != field.default:
             raise InputError(
-                f"the {what} has {field.name} = {value!r}, which no file can state: "
-                f"make it the default value in a class of its own"
+                f"the {what} has {field.name} = {value!r}, which cannot be written to a file: "
+                "define a separate class with this default value"
             )
 
 
 def _plain(values: Any) -> Any:
-    """One number where all are the same."""
+    """Return one number if all values are equal, otherwise a list."""
     values = np.asarray(values, dtype=float)
     if values.ndim == 0:
         return float(values)
@@ -381,7 +380,7 @@ def _entries(fixed: PointMasses, mass: np.ndarray) -> list[dict[str, Any]]:
 
     rows = {declaration.path: row(declaration) for declaration in POINT_MASSES}
     if fixed.drag_area is None:
-        # As earlier versions wrote it, so that a result of theirs is of the same configuration.
+        # Earlier versions omitted this row if there was no drag, and results must compare as equal.
         del rows[POINT_MASSES.drag_area.path]
     own = structural_points(mass, fixed.links, rows[POINT_MASSES.mass.path])
     return [
@@ -397,7 +396,7 @@ _SECTIONS = (ArmSection, SensorsSection, CamerasSection, LandmarksSection)
 
 
 def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
-    """The arm and the sensors of some runs.
+    """Return the arm and the sensors of some runs, whose sidecars must agree.
 
     Raises:
         InputError: the sidecars disagree in [arm], [sensors], [camera] or [landmark].
@@ -426,10 +425,10 @@ def agreed_parts(runs: Sequence[Run]) -> tuple[Arm, Sensors]:
 
 
 def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
-    """The section, of a name and a class, that the sidecars of some runs have alike.
+    """Return the section of the given name and class, which must be equal in all sidecars.
 
     Raises:
-        InputError: the sidecars disagree in it.
+        InputError: the sidecars disagree in this section.
     """
     first, *others = runs
     section = first.definition.section(of)
@@ -445,10 +444,10 @@ def agreed_section(runs: Sequence[Run], name: str, of: type[S]) -> S:
 def check_agreement(
     section: str, first: tuple[Run, Mapping[str, Any]], other: tuple[Run, Mapping[str, Any]]
 ) -> None:
-    """Refuse two runs whose sidecars state a key of a section differently, None being nothing.
+    """Refuse two runs whose sidecars differ in a key of a section; None means a missing key.
 
     Raises:
-        InputError: naming the runs, the key and both values.
+        InputError: a key differs; the message names the runs, the key and both values.
     """
     (one, ours), (two, theirs) = first, other
     for key in {**ours, **theirs}:

@@ -1,4 +1,4 @@
-"""What the sensors of an arm show of its motion, channel by channel."""
+"""Sensors of an arm: what they record of its motion, channel by channel."""
 
 import abc
 import dataclasses
@@ -31,15 +31,15 @@ from ..simulation import Trajectory, at_rest
 from ._cameras import NEAR, Pinhole, Projection
 from ._protocol import Prediction
 
-# What records an arm: a camera with its frame, scale and clock, markers, and angle sensors.
+# Sensors that record an arm: cameras with frame, scale and clock, markers, and angle sensors.
 #
-# Every parameter is optional; what is left out costs nothing. A camera shows a point p of the
-# base frame at scale * R^T (p - origin), R being the turn of the camera frame against the base
-# frame.
+# Every parameter is optional, and parameters that are left out need no computation. A camera
+# records a point p of the base frame as scale * R^T (p - origin), where R is the rotation of the
+# camera frame relative to the base frame.
 
 
 class Camera(eqx.Module):
-    """Frame, scale and clock of recorded positions; and the cameras whose pixels are recorded."""
+    """Frame, scale and clock of recorded positions, and the cameras that record pixels."""
 
     rotation: Float[Array, "3"] | None = parameter(CAMERA.rotation)
     origin: Float[Array, "3"] | None = parameter(CAMERA.origin)
@@ -48,11 +48,11 @@ class Camera(eqx.Module):
     clock_rate: Scalar | None = parameter(CAMERA.clock_rate)
     lens_k1: Scalar | None = parameter(CAMERA.lens_k1)
     lens_k2: Scalar | None = parameter(CAMERA.lens_k2)
-    # By name, which is part of the paths: `camera.side.position`.
+    # The key is the name, which is part of the paths: `camera.side.position`.
     pinholes: dict[str, Pinhole] = inline(default_factory=dict)
 
     def sees(self, positions: Float[Array, "*point 3"]) -> Float[Array, "*point 3"]:
-        """Positions (m) of the base frame as they are recorded; the clock apart."""
+        """Convert positions (m) in the base frame to recorded positions, without clock errors."""
         if self.origin is not None:
             positions = positions - self.origin.reshape((1,) * (positions.ndim - 1) + (3,))
         if self.rotation is not None:
@@ -63,10 +63,11 @@ class Camera(eqx.Module):
         return positions if self.scale is None else self.scale * positions
 
     def through_lens(self, positions: Float[Array, "*point 3"], arm: Arm) -> Array:
-        """Positions (m) of the base frame as a lens shows them that points at the middle of an arm.
+        """Apply the distortion of a lens aimed at the middle of the arm to positions (m).
 
-        How far away that is, and from which side, positions do not say: the lens draws all three
-        coordinates to the middle, and its unit of distance is half of the straight arm.
+        Positions do not determine the distance and direction of the camera. Therefore all three
+        coordinates are distorted radially about the middle of the straight arm, and distances are
+        divided by half of its length.
         """
         if self.lens_k1 is None and self.lens_k2 is None:
             return positions
@@ -79,13 +80,13 @@ class Camera(eqx.Module):
 
 
 class Landmark(eqx.Module):
-    """A point of the room that cameras see."""
+    """A fixed point of the room that cameras record."""
 
     position: Float[Array, "3"] = parameter(LANDMARK.position)
 
 
 class Marker(eqx.Module):
-    """Where the tracked points lie, in the frame of their link."""
+    """Positions of the tracked points in the frames of their links."""
 
     along: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.along)
     left: Float[Array, ""] | Float[Array, " link"] | None = parameter(MARKER.left)
@@ -93,7 +94,7 @@ class Marker(eqx.Module):
     tip: Float[Array, "3"] | None = parameter(MARKER.tip)
 
     def on_links(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "link 3"]:
-        """Positions of the links' markers in the base frame, m."""
+        """Return the positions of the link markers in the base frame, m."""
         here = pose(arm, angles, sideways=self.left is not None or self.up is not None)
         points = here.centre
 
@@ -110,7 +111,7 @@ class Marker(eqx.Module):
         return points.T
 
     def at_tip(self, arm: Arm, angles: Float[Array, " joint"]) -> Float[Array, "3"]:
-        """Position of the tip's marker in the base frame, m."""
+        """Return the position of the tip marker in the base frame, m."""
         here = pose(arm, angles, sideways=self.tip is not None)
         end = scaled(arm.links.length, here.direction).sum(axis=-1)
         if self.tip is None:
@@ -121,7 +122,7 @@ class Marker(eqx.Module):
 
 
 class Encoder(eqx.Module):
-    """Zero, scale and clock of the joints' sensors; angles of links are the sums of theirs."""
+    """Offset, scale and clock of the joint sensors; link angles are sums of their angles."""
 
     offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.offset)
     scale: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.scale)
@@ -130,12 +131,12 @@ class Encoder(eqx.Module):
     rate_offset: Float[Array, ""] | Float[Array, " joint"] | None = parameter(ENCODER.rate_offset)
 
     def shows(self, angles: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
-        """Recorded joint angles, rad; the clock apart."""
+        """Return recorded joint angles, rad, without clock errors."""
         shown = self._scaled(angles)
         return shown if self.offset is None else shown + per_row(self.offset, shown)
 
     def shows_rates(self, rates: Float[Array, "sample joint"]) -> Float[Array, "sample joint"]:
-        """Recorded joint rates, rad/s; the clock apart."""
+        """Return recorded joint rates, rad/s, without clock errors."""
         shown = self._scaled(rates)
         return shown if self.rate_offset is None else shown + per_row(self.rate_offset, shown)
 
@@ -143,12 +144,12 @@ class Encoder(eqx.Module):
         return values if self.scale is None else values * per_row(self.scale, values)
 
     def true_angles(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Joint angles (rad) that are shown so: the inverse of `shows`; the clock apart."""
+        """Return true joint angles (rad) from recorded ones: the inverse of `shows`."""
         shown = shown if self.offset is None else shown - self.offset
         return shown if self.scale is None else shown / self.scale
 
     def true_rates(self, shown: Float[Array, " joint"]) -> Float[Array, " joint"]:
-        """Joint rates (rad/s) that are shown so: the inverse of `shows_rates`."""
+        """Return true joint rates (rad/s) from recorded ones: the inverse of `shows_rates`."""
         shown = shown if self.rate_offset is None else shown - self.rate_offset
         return shown if self.scale is None else shown / self.scale
 
@@ -157,43 +158,43 @@ def per_row(value: Array, table: Array) -> Array:
     return jnp.broadcast_to(value, table.shape[1:])[None]
 
 
-_SENSORS: dict[str, str] = {}  # names of the classes by their rows of the column table
+_SENSORS: dict[str, str] = {}  # row of the column table -> name of the sensor class
 
 
 class AbstractSensor(eqx.Module):
-    """What a sensor on an arm shows: the columns of one row of the column table.
+    """A sensor on an arm, which records the columns of one row of the column table.
 
-    Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
-    as `sensor.NAME.gain`. Where it has one that is called `delay`, s, it shows the motion of so
-    much earlier; `clock_rate` is that of `camera.clock_rate`. `check_sensor` tests a sensor.
+    Its parameters are declared like all others (`giajax.schema.parameters.parameter`) and have
+    paths such as `sensor.NAME.gain`. A parameter named `delay`, s, delays the recorded motion by
+    this time; `clock_rate` has the meaning of `camera.clock_rate`. `check_sensor` tests a sensor.
     """
 
     registered_as: ClassVar[str] = "sensor"
     channel: ClassVar[ChannelKind]
-    """Its row: name, column (`gaugeNN`, `tip_gauge`), quantity, "output", and key of noise."""
+    """Row of the column table: name, column (`gaugeNN`), quantity, "output" and noise key."""
 
     @classmethod
     def on_registration(cls) -> None:
-        """Add its row to those of an arm.
+        """Add the row of the sensor to those of an arm.
 
         Raises:
-            InputError: it has no row, or one that another has.
+            InputError: the class has no row, or its row belongs to another sensor.
         """
         row, arm, name = getattr(cls, "channel", None), KINDS["arm"], name_of(cls)
         if not isinstance(row, ChannelKind) or row.part != "output" or row.quantity == "pixel":
             raise InputError(
-                f"{name}.channel is {row!r}: make it a "
-                'giajax.schema.ChannelKind with the part "output" and no pixels'
+                f"{name}.channel is {row!r}: make it a giajax.schema.ChannelKind with the part "
+                '"output" and a quantity other than "pixel"'
             )
-        # A cell of a notebook that is run again may have another row.
+        # A notebook cell that is run again may define another row for the same class.
         former = {each for each, owner in _SENSORS.items() if owner == name and each != row.name}
         others = tuple(each for each in arm.channels if each.name not in {row.name, *former})
         owner = _SENSORS.get(row.name, "giajax")
         there = row.name in {each.name for each in arm.channels}
         if there and owner != name and not cls.__module__.startswith("giajax."):
             raise InputError(
-                f"the channel '{row.name}' of {name} is already that of {owner}: give the channel "
-                f"another name"
+                f"the channel '{row.name}' of {name} already belongs to {owner}: give the channel "
+                "another name"
             )
         if former or row not in arm.channels:
             add_kind(dataclasses.replace(arm, channels=(*others, row)))
@@ -203,22 +204,23 @@ class AbstractSensor(eqx.Module):
 
     @abc.abstractmethod
     def values(self, motion: Trajectory) -> Float[Array, "sample *place"]:
-        """What it shows of a motion at its samples, SI.
+        """Return the recorded values at the samples of a motion, SI.
 
         Arguments:
-            motion: with times, angles, rates, accelerations and torques of the joints, and the arm.
+            motion: the motion with times, angles, rates, accelerations and joint torques, and the
+                arm.
 
         Returns:
-            Shape (sample,); with an axis more for the links or joints where the column has a
-            number, and one for the components where it ends in `_x` or `_u`.
+            Values of shape (sample,), with one more axis for links or joints if the column has a
+            number, and one for the components if it ends in `_x` or `_u`.
         """
 
 
 def sensor_named(name: str) -> AbstractSensor:
-    """The sensor of a name as its class makes it.
+    """Return a sensor with the default values of its class.
 
     Raises:
-        InputError: none is registered, or it has no default.
+        InputError: the sensor is not registered, or its class has no defaults.
     """
     if (found := registered(AbstractSensor.registered_as, name)) is None:
         raise InputError(f"there is no registered sensor '{name}': register its class")
@@ -227,18 +229,18 @@ def sensor_named(name: str) -> AbstractSensor:
 
 
 def own_sensors() -> tuple[type[AbstractSensor], ...]:
-    """The registered classes that are not giajax's, on which a program depends by default."""
+    """Return the registered user-defined classes, on which a program depends by default."""
     return tuple(each for _, each in sorted(classes_of_others("sensor").items()))
 
 
 def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
-    """Try a sensor on an arm that is straight and at rest.
+    """Test a sensor on an arm that is straight and at rest.
 
-    While a program is traced nothing is checked.
+    No test is made during tracing.
 
     Raises:
-        InputError: naming the method and what is wrong: an exception, a shape, or a value or a
-            derivative that is not finite.
+        InputError: the sensor raises an exception, or returns a wrong shape, or a value or
+            derivative that is not finite; the message names the method and the problem.
     """
     if not is_concrete((sensor, arm)):
         return
@@ -250,20 +252,19 @@ def check_sensor(sensor: AbstractSensor, arm: Arm) -> None:
     if shape != (1, *places):
         raise InputError(
             f"{what} returns the shape {shape} for one sample and an arm of {arm.count} links: "
-            f"return "
-            f"{(1, *places)}, as {row.column} requires"
+            f"return {(1, *places)}, as {row.column} requires"
         )
     for each, found in {"value": shown, "derivative": slope}.items():
         if not bool(jnp.all(jnp.isfinite(found))):
             raise InputError(
                 f"{what} has a {each} that is not finite at rest: correct it (safe_norm of "
-                "giajax.runtime.arrays is a norm that can be differentiated at rest)"
+                "giajax.runtime.arrays is a norm that is differentiable at rest)"
             )
 
 
 @program
 def _shown_at_rest(sensor: AbstractSensor, arm: Arm) -> tuple[Any, Any]:
-    """What it shows, and how that changes with all that moves and with its parameters."""
+    """Return the values at rest, and their derivative along all angles, rates and parameters."""
 
     def shown(sensor: AbstractSensor, angles: Array, rates: Array) -> Any:
         motion = at_rest(arm, angles)
@@ -279,12 +280,12 @@ def _one(leaf: Any) -> Any:
 
 
 class Picture(AbstractSensor):
-    """What a camera shows of chosen points: pixels, with both coordinates of all points at once.
+    """The image of chosen points in a camera: both pixel coordinates of all points at once.
 
     Attributes:
-        camera, marker, landmark: by which points appear: those of `Sensors`.
-        delay, clock_rate: of its clock.
-        points: rows of the column table, with the number of the link or landmark, or 0.
+        camera, marker, landmark: parts of `Sensors` that determine the image of the points.
+        delay, clock_rate: clock errors of the camera.
+        points: rows of the column table, each with the number of the link or landmark, or 0.
     """
 
     camera: Pinhole
@@ -295,11 +296,11 @@ class Picture(AbstractSensor):
     points: tuple[tuple[str, int], ...] = eqx.field(static=True)
 
     def values(self, motion: Trajectory) -> Float[Array, "sample point 2"]:
-        """Pixels of the points."""
+        """Return the pixel coordinates of the points."""
         return self.projected(motion).pixels
 
     def projected(self, motion: Trajectory) -> Projection:
-        """Pixels and depths (m) of the points at the samples of a motion."""
+        """Return pixel coordinates and depths (m) of the points at the samples of a motion."""
         arm = motion.arm
 
         def at(row: Float[Array, " joint"]) -> Projection:
@@ -320,12 +321,12 @@ class Picture(AbstractSensor):
         return seen
 
     def place(self, channel: Channel) -> int:
-        """Which of its points a channel is of."""
+        """Return the index of the point that a channel belongs to."""
         return self.points.index((channel.kind, channel.index or 0))
 
 
 class Sensors(eqx.Module):
-    """All that stands between the motion of an arm and its recording."""
+    """All sensors that record the motion of an arm."""
 
     camera: Camera = eqx.field(default_factory=Camera)
     marker: Marker = eqx.field(default_factory=Marker)
@@ -338,20 +339,21 @@ class Sensors(eqx.Module):
             if isinstance(each, AbstractSensor) and name != name_of(type(each)):
                 raise InputError(
                     f"the sensor '{name}' is a {name_of(type(each))}, but must have the name of "
-                    f"its class, which links its columns to it: rename it"
+                    "its class, because this name links the sensor to its columns: rename the "
+                    "sensor"
                 )
 
     def of_row(self, kind: str) -> AbstractSensor | None:
-        """The sensor that shows a row of the column table, by default as its class makes it.
+        """Return the sensor of a row of the column table, by default with its default values.
 
-        None of what camera, markers and angle sensors show.
+        Rows that are recorded by camera, markers and angle sensors have no such sensor (None).
         """
         if (name := _SENSORS.get(kind)) is None:
             return None
         return self.sensor[name] if name in self.sensor else sensor_named(name)
 
     def rows(self, kinds: Iterable[str]) -> dict[str, tuple[Callable[[Trajectory], Array], Any]]:
-        """What makes the columns of these rows of a motion, and by whose clock; not of pixels."""
+        """Return for each row the function from motion to columns, and its clock; no pixels."""
 
         def seen(points: Callable[[Arm, Array], Array]) -> Callable[[Trajectory], Array]:
             def shown(of: Trajectory) -> Array:
@@ -373,10 +375,10 @@ class Sensors(eqx.Module):
         return {kind: known[kind] for kind in own if kind in known}
 
     def pictures(self, channels: Iterable[Channel]) -> dict[str, Picture]:
-        """What each camera shows of channels that are of a picture, by its name.
+        """Return by camera the image of the points that the pixel channels require.
 
         Raises:
-            InputError: as `camera_of`.
+            InputError: as in `camera_of`.
         """
         shown: dict[str, set[tuple[str, int]]] = {}
         for channel in channels:
@@ -391,14 +393,14 @@ class Sensors(eqx.Module):
                 self.landmark,
                 clock_of(self, name),
                 rate,
-                # In an order of their own: both coordinates of a point are computed together.
+                # Sorted, because both coordinates of a point are computed together.
                 tuple(sorted(points)),
             )
             for name, points in shown.items()
         }
 
     def without_clocks(self) -> "Sensors":
-        """The same camera, markers and angle sensors, with clocks that are right."""
+        """Return the same sensors with exact clocks of camera and encoder."""
         lenses = self.camera.pinholes.items()
         on_time = {name: dataclasses.replace(each, delay=None) for name, each in lenses}
         right: dict[str, Any] = {"delay": None, "clock_rate": None}
@@ -407,17 +409,17 @@ class Sensors(eqx.Module):
         return dataclasses.replace(self, camera=camera, encoder=encoder)
 
     def with_rows(self, kinds: Iterable[str]) -> "Sensors":
-        """With the sensors of these rows of the column table, as far as rows are of some."""
+        """Return the sensors with those added that these rows of the column table require."""
         asked = [_SENSORS[kind] for kind in kinds if kind in _SENSORS]
         new = {name: sensor_named(name) for name in asked if name not in self.sensor}
-        # In its order, as JAX has it.
+        # Sorted, because JAX sorts the keys of dicts.
         return dataclasses.replace(self, sensor=dict(sorted((self.sensor | new).items())))
 
     def check(self, joints: int) -> None:
-        """Refuse values for another number of links or joints.
+        """Refuse values for a different number of links or joints.
 
         Raises:
-            InputError: naming the parameter and both numbers.
+            InputError: the numbers differ; the message names the parameter and both numbers.
         """
         for name, known in declared(self).items():
             shape = known.value(self).shape
@@ -429,11 +431,11 @@ class Sensors(eqx.Module):
 
 
 def camera_of(sensors: Sensors, channel: Channel) -> str:
-    """The name of the camera that shows a channel.
+    """Return the name of the camera that records a channel.
 
     Raises:
-        InputError: there is no such camera, several and none is named, or the channel is of a
-            landmark that is not stated.
+        InputError: the camera does not exist, several exist but the channel names none, or the
+            landmark of the channel is not given.
     """
     cameras = sensors.camera.pinholes
     name, known = channel.camera, one_of(list(cameras))
@@ -441,37 +443,33 @@ def camera_of(sensors: Sensors, channel: Channel) -> str:
         section = f"[camera.{name or 'NAME'}]"
         raise InputError(
             f"channel {channel.name!r} contains image coordinates, but no camera is described: "
-            f"add {section} "
-            "with mount, size_px, focal_length_px, position_m and rotation_deg"
+            f"add {section} with mount, size_px, focal_length_px, position_m and rotation_deg"
         )
     if name is not None and name not in cameras:
         raise InputError(
-            f"channel {channel.name!r} belongs to the camera '{name}', which is not described: it "
-            f"must "
-            f"be {known}, so correct the name or give [camera.{name}]"
+            f"channel {channel.name!r} belongs to the camera '{name}', which is not described: "
+            f"the camera must be {known}, so correct its name or add [camera.{name}]"
         )
     if name is None and len(cameras) > 1:
         raise InputError(
-            f"channel {channel.name!r} does not state its camera: begin the name of the channel "
-            f"with the name of a camera"
-            f", {known}, as in '{next(iter(cameras))}.{channel.name}'"
+            f"channel {channel.name!r} does not name its camera: begin the name of the channel "
+            f"with the name of a camera ({known}), as in '{next(iter(cameras))}.{channel.name}'"
         )
     if channel.kind == "mark_pixel" and mark_of(channel) not in sensors.landmark:
         raise InputError(
-            f"channel {channel.name!r} belongs to a landmark that is not described: state its "
-            f"position in "
-            f"[landmark.{mark_of(channel)}]"
+            f"channel {channel.name!r} belongs to a landmark that is not described: give the "
+            f"position of the landmark in [landmark.{mark_of(channel)}]"
         )
     return name or next(iter(cameras))
 
 
 def mark_of(channel: Channel) -> str:
-    """The name of the landmark that a channel shows."""
+    """Return the name of the landmark of a channel."""
     return f"mark{channel.index or 0:02d}"
 
 
 def clock_of(sensors: Sensors, name: str) -> Float[Array, ""] | None:
-    """How late a camera is, s: as all cameras are, and by itself; None: it is not late."""
+    """Return the delay of a camera, s: the common delay plus its own; None if it has none."""
     delays = [sensors.camera.delay, sensors.camera.pinholes[name].delay]
     late = [delay for delay in delays if delay is not None]
     return sum(late[1:], late[0]) if late else None
@@ -480,10 +478,10 @@ def clock_of(sensors: Sensors, name: str) -> Float[Array, ""] | None:
 def behind_conditions(
     run: Run, unseen: Mapping[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
 ) -> list[str]:
-    """That pixels were recorded of points that the model has behind the camera: a sentence for
-    each.
+    """Return a sentence for each camera with recorded pixels of points behind it in the model.
 
-    `unseen` is by channel, at which samples the point is behind the camera, and out of the picture.
+    `unseen` gives for each channel the samples at which the point is behind the camera, and those
+    at which it is outside the image.
     """
     cells: dict[str, list[tuple[str, int]]] = {}
     for name, (behind, _) in unseen.items():
@@ -493,8 +491,8 @@ def behind_conditions(
     return [
         f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
         f"{sum(count for _, count in found)} recorded pixels of "
-        f"{', '.join(name for name, _ in found)} belong to points that are behind the camera in "
-        f"the model: correct the position and rotation of the camera, or the names of the points"
+        f"{', '.join(name for name, _ in found)} show points that are behind the camera in the "
+        "model: correct the position and rotation of the camera, or the names of the points"
         for camera, found in cells.items()
     ]
 
@@ -502,15 +500,15 @@ def behind_conditions(
 Times = Float[Array, " sample"]
 
 Clock = tuple[Scalar | None, Scalar | None]
-"""How late a clock is, s, and how slow (`camera.clock_rate`); None: not at all."""
+"""Delay of a clock, s, and its relative rate error (`camera.clock_rate`); None if exact."""
 
 
 Motion = Callable[[Times, Scalar], Trajectory]
-"""The motion at increasing times (s) from the first sample on, simulated until a time (s)."""
+"""Return the motion at increasing times (s), from a simulation that ends at a given time (s)."""
 
 
 def _true_times(times: Times, clock: Clock) -> Times:
-    """When samples were taken that a clock stamps with these times, s."""
+    """Return the true times, s, of samples with time stamps `times` of this clock."""
     delay, rate = clock
     true = times if rate is None else times + rate * (times - times[0])
     return true if delay is None else true - delay
@@ -519,19 +517,19 @@ def _true_times(times: Times, clock: Clock) -> Times:
 def _seen_by_clocks(
     motion: Motion, times: Times, by: Sequence[Clock]
 ) -> tuple[list[Trajectory], Bool[Array, ""]]:
-    """Motions at the samples of each clock, from one simulation.
+    """Return the motions at the samples of each clock, and whether the simulation succeeded.
 
-    The integrator's own interpolation gives them, at no more error than it has anyway, and with
-    the derivative by the clock. Where a clock reaches back before the run, the arm has the rates
-    of its first sample (it rests, if it starts at rest); where it reaches beyond the end, the run
-    goes on with its last command. Also whether the simulation succeeded.
+    All motions come from one simulation. They are interpolated by the integrator, which adds no
+    error and gives the derivative with respect to the clock. Before the start of the run the arm
+    moves with the rates of its first sample (it rests if it starts at rest). After the end of the
+    run its last command continues.
     """
     first = times[0]
     clocks = [_true_times(times, clock) for clock in by]
     within = [jnp.where(moments < first, first, moments) for moments in clocks]
     together = jnp.concatenate(within)
     order = jnp.argsort(jax.lax.stop_gradient(together))
-    # Where the simulation ends changes nothing before it.
+    # The end of the simulation does not affect earlier times, so it needs no derivative.
     end = jax.lax.stop_gradient(jnp.max(jnp.append(together, times[-1])))
     moved = motion(together[order], end)
     place = jnp.argsort(order).reshape(len(by), len(times))
@@ -548,17 +546,17 @@ def _seen_by_clocks(
 def recorded_channels(
     sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> Prediction:
-    """Channels (SI, px) as the sensors show them, and whether the simulation succeeded.
+    """Return channels (SI, px) as recorded by the sensors, and whether the simulation succeeded.
 
-    Times of the samples are in s; names of channels are without unit.
+    Times of the samples are in s; names of channels do not include a unit.
     """
     known = [Channel.named(name) for name in channels]
     pictures = sensors.pictures(known)
-    # A camera may be called as a row is.
+    # The prefix prevents a conflict between the name of a camera and that of a row.
     shown = sensors.rows({channel.kind for channel in known})
     shown |= {f"camera.{name}": (each.values, each) for name, each in pictures.items()}
     seen, successful = _seen(motion, times, {name: clock for name, (_, clock) in shown.items()})
-    # All columns of a row at once, and none of a row that no channel asks for.
+    # Each required row is computed once, for all of its columns.
     tables = {name: values(seen[name]) for name, (values, _) in shown.items()}
     predicted = {}
     for channel in known:
@@ -577,9 +575,9 @@ def recorded_channels(
 def unseen_channels(
     sensors: Sensors, motion: Motion, times: Times, channels: tuple[str, ...]
 ) -> dict[str, tuple[Bool[Array, " sample"], Bool[Array, " sample"]]]:
-    """At which samples what a channel is of is behind its camera, and at which out of its picture.
+    """Return for each pixel channel the samples behind its camera and those outside the image.
 
-    Channels that are of no picture are left out.
+    Other channels are left out.
     """
     known = [Channel.named(name) for name in channels]
     pictures = sensors.pictures(known)
@@ -603,12 +601,12 @@ def unseen_channels(
 def _seen(
     motion: Motion, times: Times, shows: Mapping[str, Any]
 ) -> tuple[dict[str, Trajectory], Bool[Array, ""]]:
-    """What each sensor sees, by name; a clock that no channel needs costs nothing."""
+    """Return the motion that each sensor sees, by name; a delay is computed only if needed."""
     clocks: dict[str, Clock] = {
         name: (getattr(each, "delay", None), getattr(each, "clock_rate", None))
         for name, each in shows.items()
     }
-    # Sensors that share a clock see the same.
+    # Sensors that share a clock see the same motion.
     known = {tuple(map(id, clock)): clock for clock in clocks.values()}
     if all(part is None for clock in known.values() for part in clock):
         moved = motion(times, times[-1])

@@ -1,4 +1,4 @@
-"""Cameras: from points in space to the image, by projection or through a lens."""
+"""Cameras: image points from points in space, by projection and lens distortion."""
 
 from typing import NamedTuple
 
@@ -21,27 +21,26 @@ from ..runtime.text import InputError
 from ..schema import PINHOLE
 from ..schema.parameters import parameter
 
-# Beyond this tangent of the angle to the optical axis (84 degrees) the polynomial is held: it is
-# fitted to what a picture shows, and grows with the seventh power.
+# Beyond this tangent of the angle to the optical axis (84 degrees) the polynomial is constant,
+# because it is fitted inside the image and grows with the seventh power.
 _STEEPEST = 10.0
 
-# Newton steps of the inverse; each squares the error, and lenses distort by some per cent.
+# Newton steps of the inverse. Each step squares the error, and lenses distort by a few per cent.
 _STEPS = 12
 
 
 def distorted(
     flat: Float[Array, "2 point"], coefficients: Float[Array, "5"] | None
 ) -> Float[Array, "2 point"]:
-    """Points of the plane at distance 1, as a lens shows them there; without coefficients, the
-    same.
+    """Apply lens distortion to points in the plane at distance 1; None means no distortion.
 
     With r^2 = x^2 + y^2
 
         x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
         y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
 
-    (Brown-Conrady, as "Camera Calibration and 3D Reconstruction" of OpenCV's documentation has it);
-    the coefficients are k1, k2, p1, p2, k3 in OpenCV's order.
+    (Brown-Conrady, as in "Camera Calibration and 3D Reconstruction" of the OpenCV documentation).
+    The coefficients are k1, k2, p1, p2, k3, in the order of OpenCV.
     """
     if coefficients is None:
         return flat
@@ -61,9 +60,9 @@ def distorted(
 def undistorted(
     shown: Float[Array, "point 2"], coefficients: Float[Array, "5"] | None
 ) -> Float[Array, "point 2"]:
-    """The points that a lens shows where these are: the inverse of `distorted`, by Newton's method.
+    """Invert `distorted` by Newton's method: return the points that a lens shows at these points.
 
-    It exists within the part of the picture in which the distortion does not fold it over.
+    The inverse exists in the part of the image in which the distortion is one-to-one.
     """
     if coefficients is None:
         return shown
@@ -80,25 +79,25 @@ def undistorted(
     return jax.vmap(inverse)(shown)
 
 
-# A camera with a lens: from points of the world to pixels of its picture, and back to rays.
+# A camera with a lens: from points of the world to pixels of its image, and back to rays.
 #
-# Its own axes are those of OpenCV: x to the right of the picture, y down, z into it. A camera
-# that is not turned looks along the x axis of what it is mounted on, whose z axis is up in the
-# picture.
+# Its axes are those of OpenCV: x to the right in the image, y down, and z into the image. A camera
+# with zero rotation looks along the x axis of the frame it is mounted on, and the z axis of that
+# frame is up in the image.
 
-# Columns: the camera's x, y and z axes (right, down, forwards) in the frame of an unturned camera.
+# Columns: the camera's x, y and z axes (right, down, forwards) in the frame of an unrotated camera.
 _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 NEAR = 0.1
-"""Where a lens stops showing (m before it): nearer points, and those behind, are not seen."""
+"""Minimum distance in front of a lens, m: nearer points and points behind it are not seen."""
 
 
 class Projection(NamedTuple):
-    """Where points appear in a picture.
+    """Positions of points in an image.
 
     Attributes:
-        pixels: u to the right and v down, px; (0, 0) is the middle of the first pixel.
-        depth: distance before the lens along the optical axis, m; negative behind it.
+        pixels: u to the right and v down, px; (0, 0) is the centre of the first pixel.
+        depth: distance in front of the lens along the optical axis, m; negative behind it.
     """
 
     pixels: Float[Array, "*point 2"]
@@ -106,13 +105,13 @@ class Projection(NamedTuple):
 
 
 class View(NamedTuple):
-    """Where a camera is and how it looks, in the base frame.
+    """Position and orientation of a camera in the base frame.
 
     Attributes:
-        centre: of the lens, m.
-        axes: unit vectors to the right, down and into the picture, as columns. A point p of the
-            base frame is axes^T (p - centre) before the camera: OpenCV's R and t are axes^T and
-            -axes^T centre.
+        centre: centre of the lens, m.
+        axes: unit vectors to the right, down and into the image, as columns. A point p of the
+            base frame is at axes^T (p - centre) in the camera frame. R and t of OpenCV are axes^T
+            and -axes^T centre.
     """
 
     centre: Float[Array, "*view 3"]
@@ -120,20 +119,21 @@ class View(NamedTuple):
 
 
 class Pinhole(eqx.Module):
-    """A camera with a lens, in the room or on a link, which it moves with.
+    """A camera with a lens, fixed in the room or mounted on a link.
 
     Arguments:
-        position: centre of the lens, m, shape (3,); in the base frame, or of a camera on a link
-            along, left and up from the link's centre, or from the end of the last link.
-        rotation: turn as a rotation vector, rad, shape (3,); at 0 it looks along x.
-        focal_length: px.
-        aspect: of a pixel; None: square ones.
-        centre: where the optical axis meets the picture, px, shape (2,).
-        distortion: k1, k2, p1, p2, k3; None: none.
-        delay: how long before its time stamp a picture was true, s, added to `camera.delay`, which
-            all cameras share; None: nothing is.
+        position: centre of the lens, m, shape (3,), in the base frame. For a camera on a link, the
+            components are along, left and up from the centre of the link, or from the end of the
+            last link.
+        rotation: rotation vector, rad, shape (3,); with zero rotation the camera looks along x.
+        focal_length: focal length, px.
+        aspect: aspect ratio of a pixel; None means square pixels.
+        centre: point of the image on the optical axis, px, shape (2,).
+        distortion: k1, k2, p1, p2, k3; None means no distortion.
+        delay: age of an image at its time stamp, s, in addition to `camera.delay`, which all
+            cameras share; None means no additional delay.
         mount: "room", "tip" or a link such as "link06".
-        size: width and height of the picture, px; by them a point is in it or not.
+        size: width and height of the image, px; points outside are not seen.
 
     Example:
         >>> import jax.numpy as jnp
@@ -156,11 +156,10 @@ class Pinhole(eqx.Module):
     size: tuple[int, int] = eqx.field(default=(1920, 1080), static=True)
 
     def view(self, arm: Arm | None = None, angles: Float[Array, " joint"] | None = None) -> View:
-        """Where the camera is and how it looks; one on an arm needs it, and the angles of its
-        joints, rad.
+        """Return the pose of the camera; one on a link requires an arm and its angles, rad.
 
         Raises:
-            InputError: the camera is on an arm, and none is given, or one with too few links.
+            InputError: the camera is on an arm, but no arm is given, or one with too few links.
         """
         axes = self._axes()
         if self.mount == "room":
@@ -184,14 +183,15 @@ class Pinhole(eqx.Module):
         return View(origin + frame @ self.position, frame @ axes)
 
     def mounted_at(self, view: View) -> Float[Array, "3"]:
-        """Where a view has the place that the camera is mounted on, m: the end of the last link.
+        """Return the position of the camera mount according to a view, m.
 
-        Of a camera in the room it is the origin of the base frame, as the view believes it.
+        For a camera in the room this is the origin of the base frame. For a camera on the tip it is
+        the end of the last link.
         """
         return view.centre - view.axes @ self._axes().T @ self.position
 
     def _axes(self) -> Float[Array, "3 3"]:
-        """In the frame of what it is mounted on, as columns."""
+        """Return the camera axes in the frame of the mount, as columns."""
         turn = rotation_vector_to_quaternion(self.rotation)
         return rotate(
             jnp.broadcast_to(turn[:, None], (4, 3)), jnp.asarray(_AXES, self.rotation.dtype)
@@ -203,18 +203,18 @@ class Pinhole(eqx.Module):
         arm: Arm | None = None,
         angles: Float[Array, " joint"] | None = None,
     ) -> Projection:
-        """Where points of the base frame (m) appear in the picture: pixels, and depths (m).
+        """Project points of the base frame (m) onto the image: pixels, and depths (m).
 
-        u = f x'' + c_u and v = f aspect y'' + c_v, where x'' and y'' are x / z and y / z before the
-        camera as its lens distorts them: the model of OpenCV ("Camera Calibration and 3D
-        Reconstruction"). Nearer than `NEAR` and behind the camera 1 / z goes on along its tangent,
-        so that pixels and derivatives stay finite; such points are not seen (`sees`). Arm and
-        angles are as of `view`, which may raise.
+        u = f x'' + c_u and v = f aspect y'' + c_v, where x'' and y'' are x / z and y / z in the
+        camera frame after lens distortion: the model of OpenCV ("Camera Calibration and 3D
+        Reconstruction"). For points nearer than `NEAR` or behind the camera, 1 / z is continued
+        linearly, so pixels and derivatives stay finite; such points are not seen (`sees`). Arm and
+        angles are arguments of `view`, which may raise an error.
         """
         return self.project_from(self.view(arm, angles), points)
 
     def project_from(self, view: View, points: Float[Array, "*point 3"]) -> Projection:
-        """Where points appear to the camera that is where a view says; see `project`."""
+        """Project points onto the image of a camera in the pose of a view; see `project`."""
         rows = points.reshape(-1, 3)
         x, y, depth = ((rows - view.centre[None]) @ view.axes).T
         far = jnp.where(depth > NEAR, depth, NEAR)
@@ -225,7 +225,7 @@ class Pinhole(eqx.Module):
         return Projection(pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1]))
 
     def sees(self, seen: Projection) -> Bool[Array, "*point"]:
-        """Which projected points are before the lens and in the picture."""
+        """Return which projected points are in front of the lens and inside the image."""
         edge = jnp.asarray(self.size, seen.pixels.dtype) - 0.5
         edge = edge.reshape((1,) * (seen.pixels.ndim - 1) + (2,))
         within = jnp.all((seen.pixels >= -0.5) & (seen.pixels <= edge), axis=-1)
@@ -237,17 +237,17 @@ class Pinhole(eqx.Module):
         arm: Arm | None = None,
         angles: Float[Array, " joint"] | None = None,
     ) -> Float[Array, "*point 3"]:
-        """Unit vectors of the base frame along which the camera sees pixels, in the picture or near
-        it.
+        """Return the unit vectors in the base frame along which the camera sees pixels.
 
-        The inverse of `project`, up to the distance; the distortion is undone by Newton's method.
-        Arm and angles are as of `view`, which may raise.
+        This is the inverse of `project`, up to the distance, for pixels in or near the image. The
+        distortion is inverted by Newton's method. Arm and angles are arguments of `view`, which may
+        raise an error.
         """
         axes = self.view(arm, angles).axes
         return (self.directions(pixels).reshape(-1, 3) @ axes.T).reshape(*pixels.shape[:-1], 3)
 
     def directions(self, pixels: Float[Array, "*point 2"]) -> Float[Array, "*point 3"]:
-        """Unit vectors to the right, down and ahead along which pixels are seen; see `rays`."""
+        """Return unit vectors (right, down, forwards) along which pixels are seen; see `rays`."""
         flat = undistorted(
             (pixels.reshape(-1, 2) - self.centre[None]) / self._focal()[None], self.distortion
         )
@@ -256,6 +256,6 @@ class Pinhole(eqx.Module):
         return ahead.reshape(*pixels.shape[:-1], 3)
 
     def _focal(self) -> Float[Array, "2"]:
-        """Focal lengths across and down, px."""
+        """Return the horizontal and vertical focal lengths, px."""
         across = self.focal_length
         return jnp.stack([across, across if self.aspect is None else across * self.aspect])

@@ -1,4 +1,4 @@
-"""Hysteresis as a model: from the history of an input to that of an output."""
+"""Hysteresis model: from the history of an input to that of an output."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -29,10 +29,9 @@ from .capabilities import Derived
 
 @dataclasses.dataclass(frozen=True)
 class Columns:
-    """The columns of input and output in the runs of a model, such as "command_deg" and
-    "angle_deg".
+    """Names of input and output columns in the runs of a model, such as "command_deg".
 
-    They are empty where not known.
+    A name is empty if it is not known.
     """
 
     input: str = ""
@@ -40,13 +39,13 @@ class Columns:
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        """Those of a run."""
+        """Return the columns of a run."""
         driven, measured = input_channel(run, run.model), output_channel(run)
         return cls(driven.column, "" if measured is None else measured.column)
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """As `to_dict` gave them."""
+        """Return the columns that `to_dict` stored."""
         columns = [definition.get(key, "") for key in ("input_column", "output_column")]
         if not all(isinstance(column, str) for column in columns):
             raise InputError(
@@ -55,22 +54,22 @@ class Columns:
         return cls(*columns)
 
     def to_dict(self) -> dict[str, str]:
-        """Those that are known, as plain data."""
+        """Return the known columns as plain data."""
         both = {"input_column": self.input, "output_column": self.output}
         return {name: column for name, column in both.items() if column}
 
     @property
     def input_channel(self) -> Channel:
-        """The channel that drove the runs; the command of a joint where that is not known."""
+        """Return the input channel of the runs; if it is not known, the command of a joint."""
         return parse_column(self.input or "command_rad")
 
     @property
     def output_channel(self) -> Channel | None:
-        """The channel that the runs measured; None where that is not known."""
+        """Return the measured channel of the runs; None if it is not known."""
         return parse_column(self.output) if self.output else None
 
     def check(self, run: Run) -> None:
-        """Raise `InputError` for a run of other quantities than those of the model."""
+        """Raise `InputError` for a run whose quantities differ from those of the model."""
         own = [self.input_channel if self.input else None, self.output_channel]
         theirs = [input_channel(run, run.model), output_channel(run)]
         for mine, other in zip(own, theirs, strict=True):
@@ -82,10 +81,10 @@ class Columns:
 
 
 def input_channel(run: Run, kind: str) -> Channel:
-    """The channel that drives a run of a kind of model that has one input.
+    """Return the input channel of a run of a kind of model with one input.
 
     Raises:
-        InputError: a run of another kind, or with none or several.
+        InputError: the run is of another kind, or has no input or several.
     """
     if run.model != kind:
         raise InputError(
@@ -94,25 +93,25 @@ def input_channel(run: Run, kind: str) -> Channel:
     names = list(run.commands)
     if len(names) != 1:
         raise InputError(
-            f"'{run.name}' must have one column of input or command, but has "
+            f"'{run.name}' must have exactly one input or command column, but has "
             f"{' and '.join(names) or 'none'}: rename or remove columns"
         )
     if len(_outputs(run)) > 1:
-        raise InputError(f"'{run.name}' has both output and angle: remove one of the columns")
+        raise InputError(f"'{run.name}' has both an output and an angle column: remove one of them")
     return run.channels[names[0]]
 
 
 def input_values(run: Run, kind: str) -> np.ndarray:
-    """What drives a run of a kind of model that has one input, SI, shape (sample,).
+    """Return the input of a run of a kind of model with one input, SI, shape (sample,).
 
     Raises:
-        InputError: as `input_channel`.
+        InputError: as in `input_channel`.
     """
     return np.asarray(run.values[input_channel(run, kind).name], dtype=float)
 
 
 def output_channel(run: Run) -> Channel | None:
-    """The channel that a run measures; None where it measures none."""
+    """Return the measured channel of a run; None if there is none."""
     return next(iter(_outputs(run)), None)
 
 
@@ -121,12 +120,12 @@ def _outputs(run: Run) -> list[Channel]:
 
 
 def comparable(one: Channel, other: Channel) -> bool:
-    """Whether two channels may be of one quantity; a bare `input` or `output` says none."""
+    """Return whether two channels may have one quantity; `input` and `output` have any."""
     return "ratio" in (one.quantity, other.quantity) or one.quantity == other.quantity
 
 
 def check_outputs(kind: str, channels: Sequence[str]) -> None:
-    """Raise `InputError` for a channel that a kind of model does not predict."""
+    """Raise `InputError` for a channel that this kind of model does not predict."""
     outputs = KINDS[kind].outputs
     for name in channels:
         if Channel.named(name).kind not in outputs:
@@ -136,7 +135,7 @@ def check_outputs(kind: str, channels: Sequence[str]) -> None:
 
 
 def products(element: BoucWen | BoucWenOscillator, unit: str) -> dict[str, Derived]:
-    """The products of Bouc-Wen parameters that a history determines."""
+    """Return the products of Bouc-Wen parameters that a history determines."""
     return {
         "beta*gamma": Derived(element.beta * element.gamma, unit),
         "beta*delta": Derived(element.beta * element.delta, unit),
@@ -144,7 +143,7 @@ def products(element: BoucWen | BoucWenOscillator, unit: str) -> dict[str, Deriv
 
 
 def products_condition(free: Sequence[str]) -> list[str]:
-    """That beta, gamma and delta count only as products, where one of them is free."""
+    """Return a sentence that only products of beta, gamma and delta are determined."""
     names = [path for path in free if path in ("beta", "gamma", "delta")]
     held = [path for path in ("beta", "gamma", "delta") if path not in free]
     if not names:
@@ -155,15 +154,15 @@ def products_condition(free: Sequence[str]) -> list[str]:
 
 Numbers = int | tuple[float, ...]
 
-# Start values: shares of the stiffness and of the width of an ordinary loop.
+# Initial guesses: fraction of the stiffness that is elastic, and relative sharpness of the knee.
 _ELASTIC = 0.7
 _KNEE = 4.0
 
-_ROOM = 1.05  # a mesh a little larger than the input: a relay at its edge would never switch
+_ROOM = 1.05  # the mesh exceeds the input, because a relay at the edge of the input never switches
 
 
 def hysteresis_keys(operator: str) -> list[str]:
-    """The keys of the `[hysteresis]` section that an operator uses."""
+    """Return the keys of the `[hysteresis]` section that an operator uses."""
     used = {
         "prandtl_ishlinskii": ("elements", "thresholds"),
         "modified_prandtl_ishlinskii": ("thresholds", "upper_dead_zones", "lower_dead_zones"),
@@ -175,7 +174,7 @@ def hysteresis_keys(operator: str) -> list[str]:
 
 @dataclasses.dataclass(frozen=True)
 class HysteresisSettings:
-    """The `[hysteresis]` section with nothing left open; see `giajax.schema.HysteresisSection`."""
+    """Complete `[hysteresis]` section without None; see `giajax.schema.HysteresisSection`."""
 
     operator: str
     elements: Literal["play", "stop"]
@@ -187,21 +186,21 @@ class HysteresisSettings:
     previous_extremes: Numbers
 
     def to_dict(self) -> dict[str, Any]:
-        """The section as plain data, with what this operator uses."""
+        """Return the section as plain data, with the keys that this operator uses."""
         plain = {name: getattr(self, name) for name in hysteresis_keys(self.operator)}
         return {name: list(of) if isinstance(of, tuple) else of for name, of in plain.items()}
 
     @property
     def reach(self) -> float:
-        """Half the range of the input."""
+        """Half of the input range."""
         return (self.input_range[1] - self.input_range[0]) / 2
 
 
 def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> HysteresisSettings:
-    """What the section says, and for the rest the default; the range is that of the inputs.
+    """Complete a section with defaults; the default input range is that of the given inputs.
 
     Raises:
-        InputError: an input that never changes.
+        InputError: an input is constant.
     """
     ends = section.input_range
     if ends is None:
@@ -209,7 +208,7 @@ def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hy
         ends = [float(np.min(together)), float(np.max(together))]
     if not ends[0] < ends[1]:
         raise InputError(
-            "the input never changes, so that the output is constant: give a run in which it "
+            "the input never changes, so the output is constant: give a run in which the input "
             "changes"
         )
 
@@ -227,14 +226,14 @@ def settings_for(section: HysteresisSection, inputs: Sequence[np.ndarray]) -> Hy
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """The size of the data, which start values are made from: slope and half range of output."""
+    """Scale of the data for initial guesses: slope, and half of the output range."""
 
     slope: float = 1.0
     height: float = 1.0
 
     @classmethod
     def of(cls, inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> Self:
-        """From recorded histories; of 1 where nothing was recorded."""
+        """Return the scale of recorded histories; 1 if nothing was measured."""
         measured = [values[~np.isnan(values)] for values in outputs]
         if not measured:
             return cls()
@@ -244,7 +243,7 @@ class Scale:
 
 
 def operator_from_settings(settings: HysteresisSettings, scale: Scale) -> AbstractOperator:
-    """The operator with start values of the size of the data."""
+    """Return the operator with initial guesses from the scale of the data."""
     slope, reach = scale.slope, settings.reach
     if settings.operator == "prandtl_ishlinskii":
         thresholds = _even(settings.thresholds, reach)
@@ -295,18 +294,18 @@ def _even(numbers: Numbers, reach: float) -> Array:
 
 
 def _dense(numbers: Numbers, reach: float) -> Array:
-    """Densest near 0, where a joint is soft."""
+    """Return points that are densest near 0, where a joint is soft."""
     if not isinstance(numbers, int):
         return _array(np.asarray(numbers))
     return _array(reach * (np.arange(1, numbers + 1) / (numbers + 1)) ** 2)
 
 
-# Where turning points before the run are looked for first, as a part of the reach of the input.
+# Largest initial guess of a turning point before the run, as a fraction of half the input range.
 _FIRST_EXTREME = 0.75
 
 
 def turns(values: np.ndarray) -> bool:
-    """Whether an input, shape (sample,), ever turns back."""
+    """Return whether an input, shape (sample,), reverses its direction."""
     steps = np.diff(values)
     steps = steps[steps != 0]
     return bool(np.any(steps[1:] * steps[:-1] < 0))
@@ -315,10 +314,11 @@ def turns(values: np.ndarray) -> bool:
 def first_extremes(
     settings: HysteresisSettings, now: np.ndarray, free: Sequence[str]
 ) -> list[np.ndarray]:
-    """Turning points to start from, one list for each direction that the latest one came from.
+    """Return initial guesses of turning points, one list for each sign of the first one.
 
-    `now` are those of the model before the run, of the input, SI; of `free`, the paths of the
-    elements to fit that have no start, those at 0 are moved. No list where there are none.
+    `now` contains the turning points of the model before the run, input, SI. Only elements that are
+    zero and whose paths are in `free` (elements to fit without a start value) are changed. The
+    result is empty if there are none.
     """
     count = len(now)
     paths = [f"previous_extremes[{index}]" for index in range(count)]
@@ -326,17 +326,16 @@ def first_extremes(
     if isinstance(settings.previous_extremes, tuple) or not np.any(moved):
         return []
     low, high = settings.input_range
-    # Within each other, so that a later one does not wipe out an earlier one.
+    # Nested, because a later extreme would erase the memory of a smaller earlier one.
     sizes = _FIRST_EXTREME * settings.reach * np.arange(count, 0, -1) / count
     signs = (-1.0) ** np.arange(count)
     return [np.where(moved, (low + high) / 2 + sign * signs * sizes, now) for sign in (1.0, -1.0)]
 
 
 def unexplained(response: np.ndarray, run: Run) -> float:
-    """Sum of the squares that the best scale and offset of a response leave of what a run measured,
-    SI.
+    """Return the residual sum of squares of a response with the best scale and offset, SI.
 
-    It is infinite where the response is not finite.
+    It is infinite if the response is not finite.
     """
     if not np.all(np.isfinite(response)):
         return np.inf
@@ -350,9 +349,7 @@ def unexplained(response: np.ndarray, run: Run) -> float:
 
 
 class HysteresisInputs(eqx.Module):
-    """What the model needs of a run: the input at the samples, SI, and the share of the run that
-    is over.
-    """
+    """Inputs of the model in a run: input at the samples, SI, and elapsed fraction of the run."""
 
     values: Float[Array, " sample"]
     over: Float[Array, " sample"]
@@ -361,17 +358,17 @@ class HysteresisInputs(eqx.Module):
 class HysteresisModel(AbstractModel):
     """Predicts `output` from `input`, or the `angle` of a joint from its `command`.
 
-    Units of parameters in terms of "input" and "output" are the SI units of those channels.
+    Units of parameters that contain "input" and "output" refer to the SI units of those channels.
 
     Arguments:
-        settings: the `[hysteresis]` section, which holds no parameters.
-        operator: its parameters keep their own paths.
-        offset: added to the output, such as the inclination of a camera.
-        drift: added to the output at the last sample, and in proportion to time (without times, to
-            the number of samples) before.
-        previous_extremes: turning points of the input before the run, the latest last. What a
-            rate-independent operator remembers of its past is a list of such extremes.
-        columns: of input and output in the runs, where known.
+        settings: the `[hysteresis]` section, which contains no parameters.
+        operator: hysteresis operator; its parameters keep their own paths.
+        offset: constant added to the output, such as the inclination of a camera.
+        drift: value added to the output at the last sample; before, it grows linearly with time
+            (without times, with the number of the sample).
+        previous_extremes: turning points of the input before the run, the latest one last. A
+            rate-independent operator remembers only such extremes of its past.
+        columns: names of input and output in the runs, if known.
     """
 
     kind: ClassVar[str] = "hysteresis"
@@ -385,10 +382,10 @@ class HysteresisModel(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The operator that the sidecars state, with start values of the size of the data.
+        """Return the operator in the sidecars with initial guesses from the scale of the data.
 
         Raises:
-            InputError: the sidecars disagree in [hysteresis], or no input ever turns.
+            InputError: the sidecars disagree in [hysteresis], or no input ever reverses.
         """
         inputs = [input_values(run, cls.kind) for run in runs]
         outputs = [values for run in runs for values in run.observations.values()]
@@ -399,8 +396,8 @@ class HysteresisModel(AbstractModel):
         ignored = [key for key in section.model_dump(exclude_none=True) if key not in known]
         if ignored:
             raise InputError(
-                f"[hysteresis] of '{first.name}' states {', '.join(ignored)}, which {operator} "
-                "does not have: remove this key, or state the operator that has it"
+                f"[hysteresis] of '{first.name}' sets {', '.join(ignored)}, which {operator} does "
+                "not have: remove this key, or choose the operator that has it"
             )
         settings = settings_for(section, inputs)
         if not any(turns(values) for values in inputs):
@@ -412,7 +409,7 @@ class HysteresisModel(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The operator that `definition()` described."""
+        """Return the model that `definition()` described."""
         stored = Definition.parse({"hysteresis": definition["hysteresis"]}, "stored result")
         settings = settings_for(stored.section(HysteresisSection), [])
         return cls._made(settings, Scale(), Columns.from_definition(definition))
@@ -425,10 +422,10 @@ class HysteresisModel(AbstractModel):
         return cls(settings, operator, previous_extremes=jnp.asarray(values), columns=columns)
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """With turning points before the run, where they are free: at 0 they leave no trace.
+        """Return the model with non-zero turning points before the run, if these are free.
 
-        Those of the two directions from which the latest one may have come are tried, and that
-        is taken whose prediction, scaled and shifted, is the closer one.
+        At 0 they have no effect. Both signs of the first turning point are tried. The one whose
+        scaled and shifted prediction is closer to the data is used.
         """
         now = np.asarray(self.previous_extremes)
         tried = [
@@ -443,13 +440,13 @@ class HysteresisModel(AbstractModel):
         return min(tried, key=distance, default=self)
 
     def definition(self) -> dict[str, Any]:
-        """The `[hysteresis]` section, and the columns of input and output where known."""
+        """Return the `[hysteresis]` section, and the columns of input and output if known."""
         return {"hysteresis": self.settings.to_dict(), **self.columns.to_dict()}
 
     def reachable(self) -> tuple[float, float]:
-        """Least and largest output, SI, at the ends of the range of the input.
+        """Return the outputs, SI, at the lower and upper ends of the input range.
 
-        Each end is come to from the other one.
+        Each end is approached from the other one.
         """
         low, high = (jnp.asarray(end) for end in self.settings.input_range)
         operator, state, found = self.operator, self.operator.reset(), []
@@ -459,7 +456,7 @@ class HysteresisModel(AbstractModel):
         return found[2], found[3]
 
     def prepare(self, run: Run) -> HysteresisInputs:
-        """The input of a hysteresis run."""
+        """Return the input of a hysteresis run."""
         values = input_values(run, self.kind)
         self.columns.check(run)
         since = np.arange(len(values)) if run.times is None else run.times - run.times[0]
@@ -469,7 +466,7 @@ class HysteresisModel(AbstractModel):
         )
 
     def predict(self, inputs: HysteresisInputs, channels: tuple[str, ...]) -> Prediction:
-        """The output, SI, under the name of each channel, of shape (sample,)."""
+        """Return the output, SI, of shape (sample,), under the name of each channel."""
         check_outputs(self.kind, channels)
         response = self._response(inputs)
         output = self.offset + response
@@ -478,28 +475,28 @@ class HysteresisModel(AbstractModel):
         fine = jnp.all(jnp.isfinite(output))
         if isinstance(self.operator, BoucWen):
             fine &= ~self.operator.too_coarse(inputs.values, response)
-            # No number is better than a wrong one.
+            # An infinite value is better than a wrong one.
             output = jnp.where(fine, output, jnp.inf)
         return dict.fromkeys(channels, output), fine
 
     def _response(self, inputs: HysteresisInputs) -> Float[Array, " sample"]:
         values = inputs.values
-        # The move to the first sample may be a long one.
+        # The input may move far to the first sample, so this move is divided into steps.
         return self.operator.history(values, self.operator.travelled(self.memory(), values[0]))[0]
 
     def memory(self) -> Any:
-        """Memory of the operator before the run: virgin, then through the previous extremes."""
+        """Return the memory before the run: that of a virgin operator after the extremes."""
         state = self.operator.reset()
         for extreme in self.previous_extremes:
             state = self.operator.travelled(state, extreme)
         return state
 
     def failure(self, inputs: HysteresisInputs) -> str:
-        """The response is not finite, or the input moves too far between two samples."""
+        """Return the message: an infinite response, or input steps that are too large."""
         operator, response = self.operator, self._response(inputs)
         if isinstance(operator, BoucWen) and bool(operator.too_coarse(inputs.values, response)):
             return (
-                "the input moves too far between two samples for the narrow knee of the "
+                "the input changes too much between two samples to resolve the narrow knee of the "
                 "Bouc-Wen operator: record more samples, or start with a smaller beta, gamma or nu"
             )
         return (
@@ -508,14 +505,14 @@ class HysteresisModel(AbstractModel):
         )
 
     def refined(self, factor: float) -> Self:
-        """The same model with a finer integration, where it has one."""
+        """Return the model with a finer integration, if its operator is integrated."""
         return eqx.tree_at(lambda model: model.operator, self, self.operator.refined(factor))
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
-        """That beta, gamma and delta count only as products."""
+        """Return a sentence that only products of beta, gamma and delta are determined."""
         return products_condition(free) if isinstance(self.operator, BoucWen) else []
 
     def derived(self) -> dict[str, Derived]:
-        """The products of the Bouc-Wen parameters that a history determines."""
+        """Return the products of the Bouc-Wen parameters that a history determines."""
         operator = self.operator
         return products(operator, "1/input") if isinstance(operator, BoucWen) else {}

@@ -1,4 +1,4 @@
-"""What sensors on links and joints show: IMUs, inclinometers, tension and curvature."""
+"""Sensors on links and joints: IMUs, inclinometers, tension and curvature sensors."""
 
 import functools
 from typing import ClassVar
@@ -17,12 +17,12 @@ from ._arm_sensors import AbstractSensor, Marker, per_row
 PerLink = Float[Array, ""] | Float[Array, " link"] | None
 
 
-# A parameter of the sensors of all links or joints, or of each, that is left out by default.
+# An optional sensor parameter, with one value for all links or joints or one for each.
 _each = functools.partial(parameter, 0.0, optional=True, per="link", each=True)
 
 
 def _in_frames(vectors: Float[Array, "3 link"], here: Pose) -> Float[Array, "link 3"]:
-    """Vectors of the base frame along, to the left and upwards of their links."""
+    """Resolve vectors of the base frame along, to the left of and above their links."""
     assert here.left is not None
     return jnp.stack([dot(vectors, axis) for axis in (here.direction, here.left, here.up)], axis=-1)
 
@@ -43,16 +43,18 @@ class Gyroscope(AbstractSensor):
     kind: ClassVar[str] = "gyroscope"
     channel = IMU_RATE
 
-    offset_x: PerLink = _each(unit="rad/s", doc="reading of the gyroscope at rest, along a link")
+    offset_x: PerLink = _each(
+        unit="rad/s", doc="bias of the gyroscope about the axis along its link"
+    )
     offset_y: PerLink = _each(
-        unit="rad/s", doc="reading of the gyroscope at rest, to the left of a link"
+        unit="rad/s", doc="bias of the gyroscope about the axis to the left of its link"
     )
     offset_z: PerLink = _each(
-        unit="rad/s", doc="reading of the gyroscope at rest, upwards from a link"
+        unit="rad/s", doc="bias of the gyroscope about the upward axis of its link"
     )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
-        """In the frames of the links, with the offsets."""
+        """Return the angular velocities in the link frames, with offsets."""
 
         def at(angles: Array, rates: Array) -> Array:
             here = pose(motion.arm, angles, sideways=True)
@@ -64,10 +66,10 @@ class Gyroscope(AbstractSensor):
 
 @register
 class Accelerometer(AbstractSensor):
-    """Specific force at a place of each link (`imuNN_accel_x`), m/s^2: at rest g, upwards.
+    """Specific force at a point of each link (`imuNN_accel_x`), m/s^2; at rest g, upwards.
 
-    It is the acceleration of the place less that of gravity, along the link, to its left and
-    upwards.
+    It is the acceleration of the point minus that of gravity, resolved along the link, to its left
+    and upwards.
     """
 
     kind: ClassVar[str] = "accelerometer"
@@ -78,12 +80,18 @@ class Accelerometer(AbstractSensor):
     )
     left: PerLink = _each(unit="m", doc="distance of an IMU to the left of the centre of its link")
     up: PerLink = _each(unit="m", doc="distance of an IMU above the centre of its link")
-    offset_x: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer along a link")
-    offset_y: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer to the left of a link")
-    offset_z: PerLink = _each(unit="m/s^2", doc="bias of the accelerometer upwards from a link")
+    offset_x: PerLink = _each(
+        unit="m/s^2", doc="bias of the accelerometer in the direction along its link"
+    )
+    offset_y: PerLink = _each(
+        unit="m/s^2", doc="bias of the accelerometer in the direction to the left of its link"
+    )
+    offset_z: PerLink = _each(
+        unit="m/s^2", doc="bias of the accelerometer in the upward direction of its link"
+    )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link 3"]:
-        """In the frames of the links, with the offsets."""
+        """Return the specific forces in the link frames, with offsets."""
         arm = motion.arm
         place = functools.partial(Marker(self.along, self.left, self.up).on_links, arm)
 
@@ -109,7 +117,7 @@ class Inclinometer(AbstractSensor):
     offset: PerLink = _each(unit="rad", doc="reading of the inclinometer on a horizontal link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link"]:
-        """Of the direction of each link."""
+        """Return the elevation of the direction of each link, with offsets."""
 
         def at(angles: Array) -> Array:
             along = pose(motion.arm, angles).direction
@@ -121,17 +129,17 @@ class Inclinometer(AbstractSensor):
 
 @register
 class TensionSensor(AbstractSensor):
-    """Force along its link that each joint passes on (`jointNN_tension`), N: positive in a pull."""
+    """Force along its link that each joint transmits (`jointNN_tension`), N; tension positive."""
 
     kind: ClassVar[str] = "tension"
     channel = TENSION
 
     offset: PerLink = _each(
-        unit="N", doc="reading of the tension sensor of a joint without load", per="joint"
+        unit="N", doc="reading of the tension sensor of an unloaded joint", per="joint"
     )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
-        """What pulls the links beyond a joint back along the first of them."""
+        """Return the force that pulls on the links beyond each joint, along the first of them."""
 
         def at(angles: Array, forces: Array) -> Array:
             return -dot(pose(motion.arm, angles).direction, forces.T)
@@ -142,10 +150,10 @@ class TensionSensor(AbstractSensor):
 
 @register
 class CurvatureSensor(AbstractSensor):
-    """Curvature of the arm's line at each joint (`jointNN_curvature`), 1/m.
+    """Curvature of the arm at each joint (`jointNN_curvature`), 1/m.
 
-    It is the joint's angle over the mean length of the links that it joins; of the first joint,
-    over the length of its link.
+    It is the joint angle divided by the mean length of the two adjacent links. At the first joint
+    it is divided by the length of the first link.
     """
 
     kind: ClassVar[str] = "curvature"
@@ -156,7 +164,7 @@ class CurvatureSensor(AbstractSensor):
     )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:
-        """Positive as the angle is."""
+        """Return the curvature with the sign of the joint angle, with offsets."""
         length = motion.arm.links.length
         before = jnp.concatenate([length[:1], length[:-1]])
         shown = motion.angles * (2 / (before + length))[None]

@@ -1,4 +1,4 @@
-"""The joint at rest as a model: from angle, side and torque to contraction and force."""
+"""Model of the joint at rest: from angle, side and torque to contraction and force."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -19,8 +19,10 @@ from ._scenes import joint_scene
 
 
 class JointInputs(eqx.Module):
-    """What the joint needs of a run: bending angles of the muscle (rad), whether it is the inner
-    one, and torques on the joint (N m; None where the run does not record it).
+    """Inputs of the joint in a run: bending angles, sides and torques.
+
+    Bending angles of the muscle are in rad, sides are True for the inner muscle, and torques on
+    the joint are in N m (None if the run does not record them).
     """
 
     angle: Float[Array, " sample"]
@@ -32,7 +34,7 @@ class JointModel(AbstractModel):
     """Predicts `contraction` and `force` of one muscle of a joint.
 
     Arguments:
-        joint: its parameters keep their own paths (`alpha.offset`, `geometry.anchor_x`).
+        joint: the joint; its parameters keep their own paths (`alpha.offset`, `geometry.anchor_x`).
     """
 
     kind: ClassVar[str] = "joint"
@@ -41,10 +43,10 @@ class JointModel(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The joint that the sidecars state, which must agree.
+        """Return the joint in the sidecars, which must agree.
 
         Raises:
-            InputError: the sidecars disagree in [joint], or state an impossible joint.
+            InputError: the sidecars disagree in [joint], or describe an impossible joint.
         """
         joint = joint_from_section(runs[0].definition)
         section = joint_to_section(joint)
@@ -57,19 +59,19 @@ class JointModel(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The joint that `definition()` described."""
+        """Return the joint that `definition()` described."""
         stored = Definition.parse({"joint": definition["joint"]}, "stored result")
         return cls(joint_from_section(stored))
 
     def definition(self) -> dict[str, Any]:
-        """The `[joint]` section."""
+        """Return the `[joint]` section."""
         return {"joint": joint_to_section(self.joint)}
 
     def prepare(self, run: Run) -> JointInputs:
-        """Angles, sides and torques of a joint run."""
+        """Return angles, sides and torques of a joint run."""
         if run.model != self.kind:
             raise InputError(
-                f"'{run.name}' is a run of the {run.model} model: give a run of a joint"
+                f"'{run.name}' is a run of the {run.model} model: give a run of the joint model"
             )
         dtype = jnp.result_type(float)
         torque = run.values.get("torque")
@@ -80,12 +82,12 @@ class JointModel(AbstractModel):
         )
 
     def scene(self, run: Run) -> Scene:
-        """Balloons, muscle, wire and lettered points at the angles of the run."""
+        """Return balloons, muscle, wire and lettered points at the angles of the run."""
         inputs = self.prepare(run)
         return joint_scene(self.joint.geometry, inputs.angle, inputs.inner, times=run.times)
 
     def predict(self, inputs: JointInputs, channels: tuple[str, ...]) -> Prediction:
-        """Contraction and force (N) at the samples; fails where the joint cannot be built."""
+        """Return contraction and force (N) at the samples; fails for an impossible joint."""
         torque = self.joint.torque if inputs.torque is None else inputs.torque
         torque = jnp.broadcast_to(torque, inputs.angle.shape)
         state = balanced(self.joint, inputs.angle, torque, inputs.inner)
@@ -97,12 +99,12 @@ class JointModel(AbstractModel):
                 raise InputError(
                     f"'{name}' is not predicted by the joint model: use one of: {', '.join(known)}"
                 )
-            # NaN makes a fit reject a step into a joint that cannot be built.
+            # NaN makes a fit reject a step to an impossible joint.
             predicted[name] = jnp.where(possible, known[name], jnp.nan)
         return predicted, jnp.all(possible)
 
     def failure(self, inputs: JointInputs) -> str:
-        """What is impossible about the geometry."""
+        """Return the reason why the geometry is impossible."""
         try:
             check_geometry(self.joint.geometry, np.asarray(inputs.angle))
         except InputError as error:
@@ -110,11 +112,11 @@ class JointModel(AbstractModel):
         return "the force of the joint is not finite: choose another geometry or torque"
 
     def refined(self, factor: float) -> Self:
-        """The same: it is in closed form."""
+        """Return the same model, because it is in closed form."""
         return self
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
-        """That alpha and beta are what the geometry and the torque leave over."""
+        """Return sentences on the geometry and torque that alpha and beta depend on."""
         sentences = []
         if any(path.startswith("geometry.") for path in free):
             try:
@@ -129,23 +131,21 @@ class JointModel(AbstractModel):
         if held:
             shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
             sentences.append(
-                f"{', '.join(corrections)}: correction of the torque for this geometry, which is "
-                f"held at "
-                f"{shown}"
+                f"{', '.join(corrections)}: the correction of the torque is valid for this "
+                f"geometry, which is held at {shown}"
             )
         if "torque" not in free and any(
             run.model == self.kind and "torque" not in run.values for run in runs
         ):
             sentences.append(
                 f"{', '.join(corrections)}: determined for the assumed torque of "
-                f"{float(self.joint.torque):.4g} N m, "
-                "which the run does not record"
+                f"{float(self.joint.torque):.4g} N m, because the run does not record the torque"
             )
         return sentences
 
 
 def joint_from_section(definition: Definition) -> Joint:
-    """The joint that the `[joint]` section states; what it does not state is the preset's."""
+    """Return the joint of the `[joint]` section; missing keys have the values of the preset."""
     section = definition.section(JointSection)
     correction = Correction(
         reading=section.correction or "continuous", blend=np.deg2rad(section.blend_deg or 0.0)
@@ -154,7 +154,7 @@ def joint_from_section(definition: Definition) -> Joint:
 
 
 def joint_to_section(joint: Joint) -> dict[str, Any]:
-    """The `[joint]` section of a joint, whole."""
+    """Return the complete `[joint]` section of a joint."""
     return {
         "correction": joint.correction.reading,
         "blend_deg": float(np.rad2deg(joint.correction.blend)),

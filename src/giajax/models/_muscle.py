@@ -1,4 +1,4 @@
-"""A muscle as a model: from pressure and contraction to force."""
+"""Model of a muscle: from pressure and contraction to force."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -19,12 +19,14 @@ _DIRECTION = {"fill": -1.0, "exhaust": 1.0}
 
 
 class MuscleInputs(eqx.Module):
-    """What a muscle needs of a run.
+    """Inputs of a muscle in a run.
 
-    Pressures (Pa); contraction relative to the length at rest, None where only a position is
-    recorded, and displacement (m), None where it is not; and the direction: +1 where the muscle is
-    moved against its own pull (exhausting), -1 where it moves by itself (filling); None without
-    friction, or where it follows the displacement.
+    Attributes:
+        pressure: pressures, Pa.
+        contraction: contraction relative to the length at rest; None if it is not recorded.
+        position: displacement, m; None if it is not recorded.
+        direction: +1 if the muscle is moved against its force (exhausting), -1 if it moves by
+            itself (filling); None without friction, or if it follows from the displacement.
     """
 
     pressure: Float[Array, " sample"]
@@ -40,11 +42,11 @@ class MuscleModel(AbstractModel):
     """Predicts the `force` of a muscle or a cylinder.
 
     Arguments:
-        muscle: the law, without friction.
-        friction: None where there is none.
-        length: at rest, m.
-        mean_pressure: whether the pressure of a run is taken as its mean, which is what was set
-            where friction moves the gauge.
+        muscle: force law without friction.
+        friction: friction law; None without friction.
+        length: length at rest, m.
+        mean_pressure: True to replace the pressure by its mean over the run. This is the set
+            pressure if friction affects the gauge.
     """
 
     kind: ClassVar[str] = "muscle"
@@ -56,10 +58,10 @@ class MuscleModel(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The muscle that the sidecars state, which must agree.
+        """Return the muscle in the sidecars, which must agree.
 
         Raises:
-            InputError: the sidecars disagree in [muscle], or state what their law does not know.
+            InputError: the sidecars disagree in [muscle], or set a parameter that the law lacks.
         """
         first, *others = runs
         section = first.definition.section(MuscleSection)
@@ -70,23 +72,23 @@ class MuscleModel(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The muscle that `definition()` described."""
+        """Return the muscle that `definition()` described."""
         stored = Definition.parse({"muscle": definition["muscle"]}, "stored result")
         return cls.from_section(stored.section(MuscleSection))
 
     @classmethod
     def from_section(cls, section: MuscleSection) -> Self:
-        """The muscle that a `[muscle]` section states.
+        """Return the muscle of a `[muscle]` section.
 
         Raises:
-            InputError: it states what its law does not know, or contradicts itself.
+            InputError: the section sets a parameter that the law lacks, or contradicts itself.
         """
         law = MUSCLE_LAWS[section.law or BraidedMuscle.name]
         rubs = section.friction or ("coulomb" if law is Piston else "none")
         if rubs == "none" and section.friction_pressures_kPa is not None:
             raise InputError(
-                "[muscle] states friction_pressures_kPa, but no friction: remove it, or "
-                'state friction = "coulomb"'
+                "[muscle] sets friction_pressures_kPa, but no friction: remove this key, or set "
+                'friction = "coulomb"'
             )
         nodes = tuple(p * _PASCAL for p in section.friction_pressures_kPa or [0.0])
         model = cls(
@@ -98,13 +100,13 @@ class MuscleModel(AbstractModel):
         for path in values:
             if path not in known:
                 raise InputError(
-                    f"[muscle] states {path.removeprefix('muscle.')}, but the law '{law.name}' "
-                    "does not have it: remove it, or give another law"
+                    f"[muscle] sets {path.removeprefix('muscle.')}, but the law '{law.name}' does "
+                    "not have it: remove this key, or choose another law"
                 )
         return replace(model, values)
 
     def definition(self) -> dict[str, Any]:
-        """The `[muscle]` section."""
+        """Return the `[muscle]` section."""
         section: dict[str, Any] = {
             "law": self.muscle.name,
             "pressure": "mean" if self.mean_pressure else "measured",
@@ -116,10 +118,10 @@ class MuscleModel(AbstractModel):
         return {"muscle": section}
 
     def prepare(self, run: Run) -> MuscleInputs:
-        """Pressure, displacement and direction of a muscle run."""
+        """Return pressure, displacement and direction of a muscle run."""
         if run.model != self.kind:
             raise InputError(
-                f"'{run.name}' is a run of the {run.model} model: give a run of a muscle"
+                f"'{run.name}' is a run of the {run.model} model: give a run of the muscle model"
             )
         dtype = jnp.result_type(float)
 
@@ -142,11 +144,11 @@ class MuscleModel(AbstractModel):
         )
 
     def predict(self, inputs: MuscleInputs, channels: tuple[str, ...]) -> Prediction:
-        """Force, N, at the samples."""
+        """Return the force, N, at the samples."""
         for name in channels:
             if Channel.named(name).kind != "force":
                 raise InputError(f"'{name}' is not predicted by the muscle model: use force")
-        # Contraction and displacement, each from the other where it is not recorded.
+        # Compute contraction or displacement from the other one if it is not recorded.
         contraction, position = inputs.contraction, inputs.position
         if contraction is None:
             still = jnp.zeros_like(inputs.pressure)
@@ -157,21 +159,21 @@ class MuscleModel(AbstractModel):
         if self.friction is not None:
             share = inputs.direction
             if share is None:
-                # Friction resists: it takes from the force where the muscle moves by itself.
+                # Friction reduces the force of a muscle that moves by itself.
                 share = -self.muscle.own_motion * self.friction.engagement(position)
             force = force + self.friction.width(inputs.pressure) * share
         return dict.fromkeys(channels, force), jnp.all(jnp.isfinite(force))
 
     def failure(self, inputs: MuscleInputs) -> str:
-        """The force is not finite."""
+        """Return the message that the force is not finite."""
         return "the force of the muscle is not finite: choose other start values"
 
     def refined(self, factor: float) -> Self:
-        """The same: it is in closed form."""
+        """Return the same model, because it is in closed form."""
         return self
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
-        """What is referred to values that were held."""
+        """Return sentences on the held parameters to which fitted ones refer."""
         referred = {
             "muscle.effectiveness": ("muscle.diameter", "muscle.braid_angle"),
             "muscle.force_limit": ("muscle.end_length", "muscle.length_scale", "length"),
@@ -182,5 +184,5 @@ class MuscleModel(AbstractModel):
             held = [other for other in others if other not in free]
             if path in free and held:
                 shown = ", ".join(f"{other} = {float(get(self, other)):.4g}" for other in held)
-                sentences.append(f"{path}: holds for {shown} (SI)")
+                sentences.append(f"{path}: valid for {shown} (SI)")
         return sentences

@@ -1,4 +1,4 @@
-"""An oscillator as a model: from the history of a force to that of a displacement."""
+"""Model of an oscillator: from the history of a force to that of a displacement."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
@@ -18,13 +18,15 @@ from ._hysteresis import Columns, check_outputs, input_values, products, product
 from ._protocol import AbstractModel, Prediction
 from .capabilities import Derived
 
-# Neighbouring intervals that differ by more than this part are not rounding of a file.
+# Intervals between samples that differ by more than this fraction are not due to rounding.
 _UNEVEN = 1e-5
 
 
 class OscillatorInputs(eqx.Module):
-    """What the oscillator needs of a run: forces at equal distances since the sample before, SI
-    (see `BoucWenOscillator.motion`), and the intervals since then, s.
+    """Inputs of the oscillator in a run: forces and intervals.
+
+    Forces, SI, are equally spaced since the previous sample (see `BoucWenOscillator.motion`).
+    Intervals since the previous sample are in s.
     """
 
     forces: Float[Array, "sample part"]
@@ -35,10 +37,10 @@ class OscillatorModel(AbstractModel):
     """Predicts `output`, the displacement of a mass, from `input`, the force on it.
 
     Arguments:
-        oscillator: its parameters keep their own paths (`mass`, `beta`).
-        offset: added to the output, such as the zero of the sensor.
-        interpolation: of the force between two rows, "linear" or "band_limited".
-        columns: of input and output in the runs, where known.
+        oscillator: the oscillator; its parameters keep their own paths (`mass`, `beta`).
+        offset: constant added to the output, such as the zero error of the sensor.
+        interpolation: interpolation of the force between rows, "linear" or "band_limited".
+        columns: names of input and output in the runs, if known.
     """
 
     kind: ClassVar[str] = "oscillator"
@@ -50,7 +52,7 @@ class OscillatorModel(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The oscillator of the benchmark, as the sidecars say how its force runs.
+        """Return the oscillator of the benchmark with the interpolation in the sidecars.
 
         Raises:
             InputError: the sidecars disagree in [oscillator].
@@ -60,7 +62,7 @@ class OscillatorModel(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The oscillator that `definition()` described."""
+        """Return the oscillator that `definition()` described."""
         stored = Definition.parse({"oscillator": definition["oscillator"]}, "stored result")
         return cls._made(stored.section(OscillatorSection), Columns.from_definition(definition))
 
@@ -69,11 +71,11 @@ class OscillatorModel(AbstractModel):
         return cls(interpolation=section.interpolation or "linear", columns=columns)
 
     def definition(self) -> dict[str, Any]:
-        """The `[oscillator]` section, and the columns of input and output where known."""
+        """Return the `[oscillator]` section, and the columns of input and output if known."""
         return {"oscillator": {"interpolation": self.interpolation}, **self.columns.to_dict()}
 
     def prepare(self, run: Run) -> OscillatorInputs:
-        """The force of a run, between its rows, too."""
+        """Return the force of a run, interpolated between its rows."""
         values = input_values(run, self.kind)
         self.columns.check(run)
         if run.times is None:
@@ -87,33 +89,33 @@ class OscillatorModel(AbstractModel):
         )
 
     def predict(self, inputs: OscillatorInputs, channels: tuple[str, ...]) -> Prediction:
-        """The displacement, SI, under the name of each channel, of shape (sample,)."""
+        """Return the displacement, SI, of shape (sample,), under the name of each channel."""
         check_outputs(self.kind, channels)
         output = self.offset + self.oscillator.motion(inputs.forces, inputs.intervals)[:, 0]
         return dict.fromkeys(channels, output), jnp.all(jnp.isfinite(output))
 
     def failure(self, inputs: OscillatorInputs) -> str:
-        """The motion is not finite."""
+        """Return the message that the motion is not finite."""
         return (
             "the motion of the oscillator is not finite: choose start values with a smaller beta, "
             "gamma or delta, or a larger mass and damping"
         )
 
     def refined(self, factor: float) -> Self:
-        """The same model with more steps from sample to sample."""
+        """Return the model with more integration steps between samples."""
         return eqx.tree_at(lambda model: model.oscillator, self, self.oscillator.refined(factor))
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run] = ()) -> list[str]:
-        """That beta, gamma and delta count only as products."""
+        """Return a sentence that only products of beta, gamma and delta are determined."""
         return products_condition(free)
 
     def derived(self) -> dict[str, Derived]:
-        """The products of the Bouc-Wen parameters that a history determines."""
+        """Return the products of the Bouc-Wen parameters that a history determines."""
         return products(self.oscillator, "1/m")
 
 
 def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str) -> np.ndarray:
-    """Forces at equal distances after the sample before, shape (sample, 2 MOST_STEPS)."""
+    """Return equally spaced forces after the previous sample, shape (sample, 2 MOST_STEPS)."""
     count = 2 * MOST_STEPS
     if interpolation == "linear":
         fractions = np.arange(1, count + 1) / count
@@ -122,16 +124,16 @@ def _forces(name: str, times: np.ndarray, values: np.ndarray, interpolation: str
         intervals = np.diff(times)
         if np.ptp(intervals) > _UNEVEN * np.mean(intervals):
             raise InputError(
-                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" requires: "
-                'state "linear" in [oscillator]'
+                f"'{name}' is not sampled evenly, which interpolation = \"band_limited\" "
+                'requires: set interpolation = "linear" in [oscillator]'
             )
         rows = _band_limited(values, count)[1 : count * (len(values) - 1) + 1].reshape(-1, count)
     return np.concatenate([np.full((1, count), values[0]), rows])
 
 
 def _band_limited(values: np.ndarray, factor: int) -> np.ndarray:
-    """One period of a band-limited signal, sampled more often: zeros beyond its spectrum."""
+    """Resample one period of a band-limited signal by adding zeros to its spectrum."""
     spectrum = np.fft.rfft(values)
     if len(values) % 2 == 0:
-        spectrum[-1] /= 2  # the highest frequency is shared by the two sides of the spectrum
+        spectrum[-1] /= 2  # the Nyquist frequency belongs to both halves of the spectrum
     return factor * np.fft.irfft(spectrum, factor * len(values))

@@ -1,4 +1,4 @@
-"""What a fit knows of a model (it predicts named channels), and which model a run needs."""
+"""Interface between a fit and a model, and the choice of the model for a run."""
 
 import abc
 import dataclasses
@@ -19,19 +19,19 @@ from ..runtime.text import InputError, ShownAsTable, one_of
 from ..schema import KINDS, ChannelKind, Kind, Section, add_kind
 from ..schema.parameters import declared, parameter_rows, replace
 
-# What is seen is numbers only, so that whatever draws needs neither JAX nor the model.
+# A scene contains only numbers, so code that draws it needs neither JAX nor the model.
 
 
 @dataclasses.dataclass(frozen=True)
 class Line:
-    """A polyline that moves: the axis of a round body, or a thread; lines of one name look alike.
+    """A moving polyline: the axis of a round body, or a thread. Lines of one name look alike.
 
     Attributes:
-        points: m.
-        radii: of the round body about it at each point, m; 0 for a thread.
-        loose: where a thread hangs slack; None where it never does.
-        pressure: inside, above the surroundings, Pa; None where it has none.
-        swelling: factor of the radii over time; None where they stay.
+        points: points of the line, m.
+        radii: radius of the round body at each point, m; 0 for a thread.
+        loose: True where a thread is slack; None if it never is.
+        pressure: gauge pressure inside, Pa; None if there is none.
+        swelling: factor of the radii over time; None if they are constant.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Line:
 
 @dataclasses.dataclass(frozen=True)
 class Arrows:
-    """Vectors of a unit that act at origins (m): forces of the air, or of what is touched."""
+    """Vectors of one unit that act at origins (m), such as forces of air or contact."""
 
     name: str
     unit: str
@@ -68,9 +68,9 @@ class Arrows:
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """A solid box, a part of the obstacle of that name, that stays where it is.
+    """A fixed solid box, which is a part of the obstacle with this name.
 
-    Its centre and its size along its own axes are in m; the axes are unit vectors, as columns.
+    Centre, and size along its own axes, are in m. The axes are unit vectors, as columns.
     """
 
     name: str
@@ -81,14 +81,14 @@ class Block:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Everything that is seen of a model, in one frame: x ahead, y to the left, z upwards.
+    """All visible parts of a model in one frame: x ahead, y to the left, z upwards.
 
     Attributes:
         lines: bodies and threads.
-        markers: points by name, m; NaN where there is none.
-        times: of the samples, s; None where they are not in time.
+        markers: points by name, m; NaN where a point is missing.
+        times: times of the samples, s; None if they are not a time series.
         arrows: forces.
-        blocks: what stands around.
+        blocks: obstacles.
     """
 
     lines: tuple[Line, ...]
@@ -116,7 +116,7 @@ class Scene:
         return len(parts[0])
 
     def extent(self) -> Float[np.ndarray, "2 3"]:
-        """Least and greatest coordinates of all bodies and markers over all samples, m."""
+        """Minimum and maximum coordinates of all bodies and markers over all samples, m."""
         corners = [points.reshape(-1, 3) for points in self.markers.values()]
         for line in self.lines:
             reach = line.radii[:, None]
@@ -133,31 +133,32 @@ Prediction = tuple[Channels, Bool[Array, ""]]
 class AbstractModel(ShownAsTable, eqx.Module):
     """A model whose declared parameters can be fitted to runs.
 
-    A fit needs what it predicts, how a run is prepared for it, and what it is made from; it never
-    asks which model it has. Everything else is optional: `giajax.models.capabilities` has one
-    function for each method that a model may have, and says what holds for a model without it.
+    A fit uses only the methods that prepare a run, predict its channels, and define the model, and
+    never depends on the class of the model. All other methods are optional:
+    `giajax.models.capabilities` has one function for each of them, which also defines the result
+    for a model without it.
 
-    A class of one's own that says which `channels` its runs have is a kind of runs and files once
-    it is registered (`giajax.register`): a sidecar names it, and every command takes it.
+    A user-defined class that declares the `channels` of its runs becomes a kind of runs and files
+    when it is registered (`giajax.register`): sidecars can name it, and every command accepts it.
     """
 
     registered_as: ClassVar[str] = "model"
     names_of_giajax: ClassVar[Sequence[str]] = tuple(KINDS)
 
     channels: ClassVar[tuple[ChannelKind, ...]] = ()
-    """Of a class of one's own: the rows of its runs, its own or those that other kinds have."""
+    """For a user-defined class: rows of its runs in the column table, new or of other kinds."""
     section: ClassVar[type[Section] | None] = None
-    """Of a class of one's own: the section of its name in files, where it has one."""
+    """For a user-defined class: the section in files that has its name, if there is one."""
     timed: ClassVar[bool] = True
-    """Of a class of one's own: whether its runs have times."""
+    """For a user-defined class: True if its runs have times."""
 
     @classmethod
     def on_registration(cls) -> None:
-        """Add the kind of a class that says which channels it has.
+        """Register the kind of a class that declares channels.
 
         Raises:
-            InputError: it has no constant kind, or one that names no section of its own in files;
-                or a channel is not a row, or contradicts that of another kind.
+            InputError: the kind is not a constant, or cannot be the name of a new section in files;
+                or a channel is not a row, or contradicts a channel of another kind.
         """
         name: Any = cls.kind
         rows: Any = cls.channels
@@ -168,7 +169,7 @@ class AbstractModel(ShownAsTable, eqx.Module):
         if not rows:
             return
         if name in Definition.model_fields and name not in KINDS:
-            raise InputError(f"there already is a section [{name}]: give the model another kind")
+            raise InputError(f"a section [{name}] already exists: give the model another kind")
         if hasattr(Definition, name) or not re.fullmatch("[A-Za-z][A-Za-z0-9_-]*", name):
             raise InputError(f"no section can have the name {name!r}: give the model another kind")
         if not isinstance(rows, tuple | list) or {*map(type, rows)} != {ChannelKind}:
@@ -193,22 +194,22 @@ class AbstractModel(ShownAsTable, eqx.Module):
     @property
     @abc.abstractmethod
     def kind(self) -> str:
-        """Its name, in `giajax.schema.KINDS` where it is a kind: a constant of its class."""
+        """Name of the kind, constant for a class; in `giajax.schema.KINDS` if registered."""
 
     @classmethod
     @optional
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The model of some runs, with the constants that their sidecars state, if it has any."""
+        """Return the model of some runs, with the constants in their sidecars, if any."""
         return made_by_default(cls, f"the model {cls.__name__}")
 
     @abc.abstractmethod
     def definition(self) -> dict[str, Any]:
-        """What it is made from, its parameters apart, as plain data."""
+        """Return plain data from which the model can be made again, without its parameters."""
 
     @classmethod
     @optional
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The model that `definition()` described, with any values of its parameters."""
+        """Return the model that `definition()` described, with any parameter values."""
         if definition:
             raise InputError(
                 f"{cls.__name__} has a definition but no method from_definition: write this method"
@@ -217,19 +218,19 @@ class AbstractModel(ShownAsTable, eqx.Module):
 
     @abc.abstractmethod
     def prepare(self, run: Run) -> Any:
-        """What the model needs of a run, as a pytree of arrays.
+        """Return the inputs of the model in a run, as a pytree of arrays.
 
-        The first axis of each leaf that belongs to time may be extended by repeating its last
-        row without changing a prediction at the rows before: runs of several lengths then share
-        one compiled program. Other leaves must have the same shape for every run.
+        The first axis of each time-dependent leaf may be extended by repetition of its last row,
+        which must not change the prediction at earlier rows. Runs of several lengths then share one
+        compiled program. Other leaves must have the same shape for every run.
 
         Raises:
-            InputError: the run is not one of this model.
+            InputError: the run does not belong to this model.
         """
 
     @abc.abstractmethod
     def predict(self, inputs: Any, channels: tuple[str, ...]) -> Prediction:
-        """Predicted channels (SI) at the samples of a prepared run, and whether that succeeded.
+        """Return predicted channels (SI) at the samples of a run, and whether it succeeded.
 
         Must be differentiable in forward mode with respect to the declared parameters.
         """
@@ -255,9 +256,9 @@ def _table_of(
 def predicted_channels(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...], run: Run
 ) -> tuple[dict[str, Float[np.ndarray, " sample"]], bool]:
-    """Channels (SI) that a model predicts for a run, and whether that succeeded.
+    """Return the channels (SI) that a model predicts for a run, and whether it succeeded.
 
-    There is one program for all that predict, whose traced form is kept between processes.
+    All predictions use one program, whose traced form is stored between processes.
 
     Arguments:
         inputs: the prepared run.
@@ -269,7 +270,7 @@ def predicted_channels(
 
 
 def model_class(kind: str) -> Any:
-    """The class of a kind, or of several as `arm+joint`; imported when a model of it is built."""
+    """Import and return the class of a kind, or of several kinds such as `arm+joint`."""
     if "+" not in kind and kind not in AbstractModel.names_of_giajax:
         return registered(AbstractModel.registered_as, kind)
     where = "_several:SeveralModels" if "+" in kind else KINDS[kind].model
@@ -278,12 +279,13 @@ def model_class(kind: str) -> Any:
 
 
 def model_for(runs: Sequence[Run]) -> AbstractModel:
-    """The model of some runs, with the constants that their sidecars state.
+    """Return the model of some runs, with the constants in their sidecars.
 
-    Of runs of several kinds it has a model of each, which share the parameters of the same path.
+    For runs of several kinds it combines a model of each kind. Parameters with the same path are
+    shared.
 
     Raises:
-        InputError: the sidecars of runs contradict each other.
+        InputError: the sidecars of the runs contradict each other.
     """
     kinds = "+".join(dict.fromkeys(run.model for run in runs))
     model: AbstractModel = model_class(kinds).for_runs(runs)
@@ -293,11 +295,10 @@ def model_for(runs: Sequence[Run]) -> AbstractModel:
 def build_model(
     kind: str, definition: Mapping[str, Any], parameters: Mapping[str, Any]
 ) -> AbstractModel:
-    """The model that a stored result describes: a kind, what its `definition()` gave, values by
-    path.
+    """Return the model of a stored result from its kind, `definition()` and values by path.
 
     Raises:
-        InputError: an unknown kind or path.
+        InputError: a kind or path is unknown.
     """
     older = upgraded({"model": kind, **definition})
     kind = older.pop("model")
@@ -309,13 +310,13 @@ def build_model(
             )
     former = KINDS[kind].former_parameters if kind in KINDS else ()
     values = {path: v for path, v in parameters.items() if path.partition("[")[0] not in former}
-    # Whole arrays first: an element may belong to an array that the definition has as a number.
+    # Set whole arrays first, because an element may belong to an array that is still one number.
     whole = {path: value for path, value in values.items() if "[" not in path}
     return replace(replace(model_class(kind).from_definition(older), whole), values)
 
 
 def parameter_values(model: eqx.Module) -> dict[str, Any]:
-    """All declared parameters of a model or a part of one by path, as numbers and lists of them."""
+    """Return all declared parameters of a model or a part by path, as numbers and lists."""
     return {
         path: np.asarray(parameter.value(model), dtype=float).tolist()
         for path, parameter in declared(model).items()

@@ -1,4 +1,4 @@
-"""The scenes of an arm and of a joint at rest: what a person sees of them."""
+"""Scenes of an arm and of a joint at rest, which contain their visible parts."""
 
 from collections.abc import Mapping
 
@@ -19,15 +19,16 @@ from ._protocol import Arrows, Block, Line, Scene
 
 
 def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
-    """What is seen of an arm that moves, such as `giajax.simulate` gives.
+    """Return the visible parts of a moving arm, for example from `giajax.simulate`.
 
-    `marker` says where the tracked points lie; at the links' centres and the tip by default.
+    `marker` gives the positions of the tracked points, by default the centres of the links and the
+    tip.
 
     Returns:
-        One line `link` for each link, from its joint to its end; two lines `muscle` for each joint
-        that has some, with their pressures; one marker for each tracked point (`link01`, ...,
-        `tip`); the drag on each link as arrows `air`, and what obstacles press on each as arrows
-        `contact`, both at its centre; and the obstacles.
+        One line `link` for each link, from its joint to its end; two lines `muscle` with pressures
+        for each joint that has muscles; one marker for each tracked point (`link01`, ..., `tip`);
+        the drag on each link as arrows `air` and the contact force as arrows `contact`, both at
+        its centre; and the obstacles.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -60,7 +61,7 @@ def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
 
 
 def _muscles(motion: Trajectory) -> tuple[Line, ...]:
-    """The pairs of muscles along their joints, from link to link."""
+    """Return the pairs of muscles as lines across their joints, from link to link."""
     pneumatics = motion.arm.pneumatics
     if pneumatics is None:
         return ()
@@ -74,7 +75,7 @@ def _muscles(motion: Trajectory) -> tuple[Line, ...]:
 
 
 def _blocks(arm: Arm) -> tuple[Block, ...]:
-    """The boxes of all obstacles."""
+    """Return the boxes of all obstacles."""
     assert arm.contact is not None
     obstacles = arm.contact.obstacles
     boxes = solids(obstacles)
@@ -95,7 +96,7 @@ def _points(
 ) -> tuple[
     Float[Array, "sample corner 3"], Float[Array, "sample link 3"], Float[Array, "sample 3"]
 ]:
-    """Joints and end of the arm, markers of its links, and the tip's, m."""
+    """Return joints and end of the arm, link markers, and tip marker, m."""
 
     def at(row: Array) -> tuple[Array, Array, Array]:
         here = pose(arm, row)
@@ -108,7 +109,7 @@ def _points(
 
 @program
 def _drag(motion: Trajectory) -> Float[Array, "sample link 3"]:
-    """Drag of the air on each link, N."""
+    """Return the drag on each link, N."""
     arm = motion.arm
 
     def at(time: Array, angles: Array, rates: Array) -> Array:
@@ -124,14 +125,15 @@ def _drag(motion: Trajectory) -> Float[Array, "sample link 3"]:
 def _pairs(
     arm: Arm, angles: Float[Array, "sample joint"]
 ) -> Float[Array, "sample side point joint 3"]:
-    """Where a muscle would lie on either side of each joint, m: the first, and the second.
+    """Return lines of muscles on both sides of each joint, m: the first one, and the second.
 
-    A picture, not the geometry of the wire: on the skin of the balloons, over a quarter of each.
+    They are for display and do not follow the wire geometry: each lies on the surface of the
+    balloons, over a quarter of each length.
     """
 
     def at(row: Array) -> Array:
         here = pose(arm, row)
-        # The link before, by Rodrigues' formula.
+        # Direction of the previous link, by Rodrigues' formula.
         before = scaled(jnp.cos(row), here.direction)
         before = before - scaled(jnp.sin(row), cross(here.axis, here.direction))
         along = dot(here.axis, here.direction) * (1 - jnp.cos(row))
@@ -150,8 +152,8 @@ def _pairs(
     return jax.vmap(at)(angles)
 
 
-_REACH = 1.0  # how far a balloon is drawn from the joint's centre, m: half of one link and more
-_WIRE_POINTS = 40  # points of each half of the wire: enough for a bow
+_REACH = 1.0  # length of a balloon from the centre of the joint, m: more than half of a link
+_WIRE_POINTS = 40  # points of each half of the wire, enough to draw an arc
 
 Points = Float[np.ndarray, "sample 2"]
 
@@ -163,19 +165,20 @@ def joint_scene(
     *,
     times: Float[np.ndarray, " sample"] | None = None,
 ) -> Scene:
-    """What is seen of one joint and one of its muscles, which is on the side of +y.
+    """Return the visible parts of one joint and of its muscle on the +y side.
 
-    The plane is that of the bisector: the joint's centre E is the origin, x goes to the right
-    link, and all z are 0.
+    The frame is that of the bisector: the centre E of the joint is the origin, x points to the
+    right link, and all z are 0.
 
     Arguments:
         angles: bending angles of the muscle, rad, shape (sample,).
-        inner: whether it is the inner muscle; by the sign of the angle by default.
-        times: of the samples, s, if they are in time.
+        inner: True for the inner muscle; by default it depends on the sign of the angle.
+        times: times of the samples, s, if they are a time series.
 
     Returns:
-        The lines `balloon` (twice), `muscle` and `wire`, and the lettered points of figs 7 and 8 as
-        markers: A, B, C, D, E and H of an inner muscle; M, P, O, Q, N, B, D and E of an outer one.
+        The lines `balloon` (twice), `muscle` and `wire`, and as markers the lettered points of
+        figs 7 and 8: A, B, C, D, E and H for an inner muscle; M, P, O, Q, N, B, D and E for an
+        outer one.
 
     Raises:
         InputError: the joint cannot be built at one of the angles.
@@ -233,7 +236,7 @@ def _muscle(
     inner: Bool[np.ndarray, " sample"],
     engaged: Bool[np.ndarray, " sample"],
 ) -> Float[np.ndarray, "sample 4 2"]:
-    """Straight from end to end, over the bush (inner) or over both shoulders (outer)."""
+    """Return a muscle as straight segments over the bush (inner) or both shoulders (outer)."""
     right = np.where(inner[:, None], bush, shoulder)
     right = np.where(engaged[:, None], right, anchor)
     left = np.where(engaged[:, None] & inner[:, None], bush, _mirrored(right))
@@ -243,13 +246,13 @@ def _muscle(
 def _wire(
     end: Points, bush: Points, slack: Float[np.ndarray, " sample"]
 ) -> Float[np.ndarray, "sample point 2"]:
-    """From B over the bush to D; where it is slack, each half is a bow of about its length."""
+    """Return the wire from B over the bush to D; each half is an arc if the wire is slack."""
     along = np.linspace(0.0, 1.0, _WIRE_POINTS)
     halves = []
     for foot in (_mirrored(end), end):
         line = foot[:, None] + along[None, :, None] * (bush - foot)[:, None]
         span = np.linalg.norm(bush - foot, axis=-1)
-        # A shallow bow of rise r over a span s is 8 r^2 / (3 s) longer than the span.
+        # A shallow arc of rise r over a span s is 8 r^2 / (3 s) longer than the span.
         rise = np.sqrt(3 * np.maximum(slack, 0.0) / 2 * span / 8)
         outwards = np.where(foot[:, :1] < 0, -1.0, 1.0) * np.array([1.0, 0.0])
         bow = rise[:, None] * 4 * along * (1 - along)
@@ -258,7 +261,7 @@ def _wire(
 
 
 def _balloon(geometry: JointGeometry, angles: Float[np.ndarray, " sample"], sign: float) -> Line:
-    """One link: narrow at the joint, and as wide as its shoulder from there on."""
+    """Return a link that is narrow at the joint and widens to its full radius at the shoulder."""
     shoulder, radius = float(geometry.contact_x), float(geometry.contact_y)
     axis = np.stack([sign * np.cos(angles / 2), np.sin(angles / 2)], axis=-1)
     distances = np.array([0.0, shoulder, _REACH])
@@ -266,21 +269,20 @@ def _balloon(geometry: JointGeometry, angles: Float[np.ndarray, " sample"], sign
     return Line("balloon", _in_space(points), np.array([0.0, radius, radius]))
 
 
-# Of the extent: where a recording's axes are those of the scene, they agree better than this.
+# Tolerance relative to the extent of the scene. Axes that agree differ by less than this.
 _ALIGNED = 1e-3
 
 
 def recorded_markers(
     scene: Scene, run: Run, predicted: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray] | None:
-    """Where markers were recorded, in the frame of a scene of a model that follows the run.
+    """Return recorded markers in the frame of the scene of a model that follows the run.
 
-    Of a marker whose coordinates were recorded in part, the others are those of the model, whose
-    predictions are by channel, SI.
+    Coordinates that were not recorded are those of the model. Its predictions are by channel, SI.
 
     Returns:
-        Points by the names of the markers, m, NaN where nothing was recorded; None where the axes
-        of the recording are not those of the scene.
+        Points by marker name, m, NaN where nothing was recorded; None if the axes of the recording
+        differ from those of the scene.
     """
     low, high = scene.extent()
     allowed = _ALIGNED * float(np.max(high - low))

@@ -1,7 +1,7 @@
-"""Several models as one: runs of several kinds in one fit, with parameters that they share by path.
+"""Combine models of several kinds of runs in one fit, with shared parameters by path.
 
-An arm that muscles drive has the corrections alpha and beta of its joints, and so has a joint on a
-bench: a fit to runs of both has one alpha for both.
+An arm with muscles has corrections alpha and beta of its joints, and so does a joint on a test
+bench. A fit to runs of both therefore has one alpha for both.
 """
 
 import dataclasses
@@ -22,14 +22,14 @@ from .capabilities import Derived, Integration
 
 
 def as_stated(model: AbstractModel, run: Run, names: Sequence[str]) -> AbstractModel:
-    """The model of a run in which what belongs to some names is as the sidecar of the run states.
+    """Return the model of a run with the named parts as given in the sidecar of the run.
 
-    What it does not state is left out, or has its default. Names are those of
-    `giajax.schema.parameters.as_in`.
+    Parts that the sidecar does not give are left out, or have their defaults. The names are those
+    of `giajax.schema.parameters.as_in`.
 
     Raises:
-        InputError: neither the model nor the run has something of a name, or the run is another
-            model's.
+        InputError: neither the model nor the run has anything of a name, or the run belongs to
+            another model.
     """
     if not names:
         return model
@@ -38,22 +38,22 @@ def as_stated(model: AbstractModel, run: Run, names: Sequence[str]) -> AbstractM
 
 
 class SeveralInputs(eqx.Module):
-    """What the model of a kind prepared of a run; its parameters keep their paths."""
+    """Inputs prepared by the model of one kind; parameters in them keep their paths."""
 
     kind: str = eqx.field(static=True)
     inputs: Any = inline()
 
 
 class SeveralModels(AbstractModel):
-    """Predicts for each run what the model of its kind predicts.
+    """Predicts each run with the model of its kind.
 
-    A parameter of the same path is one parameter, whichever of the models have it.
+    Parameters with the same path are one parameter, in any of the models.
 
     Arguments:
         parts: the models, each of another kind; their parameters keep their own paths.
 
     Raises:
-        InputError: a path that means something else in two of them.
+        InputError: a path has different meanings in two models.
     """
 
     parts: tuple[AbstractModel, ...] = inline()
@@ -62,16 +62,15 @@ class SeveralModels(AbstractModel):
         known: dict[str, tuple[str, Any]] = {}
         for part in self.parts:
             for path, parameter in {**declared(part), **left_out(part)}.items():
-                # One of them may hold what another one frees.
+                # A model may hold a parameter that another model frees.
                 declaration = dataclasses.replace(parameter.declaration, frozen=True)
                 kind, first = known.setdefault(path, (part.kind, declaration))
-                # Of a unit of "input" and "output" each model has another one.
+                # Units that contain "input" or "output" depend on the model.
                 words = {"input", "output"} & set(declaration.unit.replace("/", " ").split())
                 if kind != part.kind and (words or first != declaration):
                     raise InputError(
                         f"'{path}' is a different quantity in the {part.kind} model than in the "
-                        f"{kind} "
-                        "model: fit their runs separately"
+                        f"{kind} model: fit their runs separately"
                     )
 
     @property
@@ -81,10 +80,10 @@ class SeveralModels(AbstractModel):
 
     @classmethod
     def for_runs(cls, runs: Sequence[Run]) -> Self:
-        """The models of the runs of each kind, with the constants that their sidecars state.
+        """Return the models of the runs of each kind, with the constants in their sidecars.
 
         Raises:
-            InputError: they state different values of a parameter that they share.
+            InputError: the sidecars give different values of a shared parameter.
         """
         by_kind = {kind: [run for run in runs if run.model == kind] for kind in KINDS}
         parts = (model_class(kind).for_runs(its) for kind, its in by_kind.items() if its)
@@ -92,17 +91,17 @@ class SeveralModels(AbstractModel):
 
     @classmethod
     def from_definition(cls, definition: Mapping[str, Any]) -> Self:
-        """The models that `definition()` described."""
+        """Return the models that `definition()` described."""
         own = definition.get("definitions", {})
         rest = {} if "definitions" in definition else definition  # of an earlier version
-        ours = AbstractModel.names_of_giajax  # which take what is theirs
+        ours = AbstractModel.names_of_giajax  # these use only their own sections
         given = {k: definition if k in ours else own.get(k, rest) for k in definition["models"]}
         return cls(tuple(model_class(kind).from_definition(its) for kind, its in given.items()))
 
     def definition(self) -> dict[str, Any]:
-        """What each of them is made from; no two kinds of giajax have a section in common.
+        """Return the definitions of all parts; built-in kinds have different sections.
 
-        That of a kind of one's own, which may have keys of any name, is there by itself.
+        The definition of a user-defined kind may contain any key, so it is stored separately.
         """
         each = {part.kind: part.definition() for part in self.parts}
         whole: dict[str, Any] = {"models": list(each)}
@@ -113,10 +112,10 @@ class SeveralModels(AbstractModel):
         return {**whole, "definitions": own} if own else whole
 
     def part(self, kind: str) -> AbstractModel:
-        """The model of the runs of a kind.
+        """Return the model for runs of a kind.
 
         Raises:
-            InputError: there is none.
+            InputError: there is no model of this kind.
         """
         for part in self.parts:
             if part.kind == kind:
@@ -124,29 +123,29 @@ class SeveralModels(AbstractModel):
         raise InputError(f"the combined model has no {kind} part: give a run of {self.kind}")
 
     def prepare(self, run: Run) -> SeveralInputs:
-        """What the model of the run's kind prepares."""
+        """Prepare a run with the model of its kind."""
         return SeveralInputs(run.model, self.part(run.model).prepare(run))
 
     def predict(self, inputs: SeveralInputs, channels: tuple[str, ...]) -> Prediction:
-        """Channels of the model of the run's kind."""
+        """Return the channels predicted by the model of the run's kind."""
         return self.part(inputs.kind).predict(inputs.inputs, channels)
 
     def failure(self, inputs: SeveralInputs) -> str:
-        """What the model of the run's kind says."""
+        """Return the message of the model of the run's kind."""
         return capabilities.failure(self.part(inputs.kind), inputs.inputs)
 
     def scene(self, run: Run) -> Scene | None:
-        """That of the model of the run's kind."""
+        """Return the scene of the model of the run's kind."""
         return capabilities.scene(self.part(run.model), run)
 
     def unseen(
         self, inputs: SeveralInputs, channels: tuple[str, ...]
     ) -> dict[str, npt.NDArray[np.bool_]]:
-        """What the model of the run says."""
+        """Return the unseen samples from the model of the run's kind."""
         return capabilities.unseen(self.part(inputs.kind), inputs.inputs, channels)
 
     def at_start(self, runs: Sequence[Run], free: Sequence[str]) -> Self:
-        """Each of them where it may start."""
+        """Return the models at initial guesses suitable for their parameters."""
 
         def begun(part: AbstractModel) -> AbstractModel:
             own = [run for run in runs if run.model == part.kind]
@@ -155,13 +154,13 @@ class SeveralModels(AbstractModel):
         return self._each(begun)
 
     def derived(self) -> dict[str, Derived]:
-        """What each of them derives."""
+        """Return the derived quantities of all models."""
         return {
             name: value for part in self.parts for name, value in capabilities.derived(part).items()
         }
 
     def conditions(self, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-        """Those of each of them."""
+        """Return the conditions of all models."""
         return [
             sentence
             for part in self.parts
@@ -169,13 +168,13 @@ class SeveralModels(AbstractModel):
         ]
 
     def refined(self, factor: float) -> Self | None:
-        """Each of them with finer or coarser tolerances; None where one of them has no such."""
+        """Return the models with scaled tolerances; None if one of them has no tolerances."""
         parts = [capabilities.refined(part, factor) for part in self.parts]
         known = tuple(part for part in parts if part is not None)
         return dataclasses.replace(self, parts=known) if len(known) == len(parts) else None
 
     def variants(self) -> dict[str, Self]:
-        """With a choice of one of them made another way."""
+        """Return all variants in which one choice of one model differs."""
         return {
             name: self._each(lambda part, of=old, by=other: by if part is of else part)  # type: ignore[misc]
             for old in self.parts
@@ -183,38 +182,38 @@ class SeveralModels(AbstractModel):
         }
 
     def uncertain(self, runs: Sequence[Run]) -> dict[str, Prior]:
-        """What each of them never knows exactly of its own runs."""
+        """Return the priors of the uncertain parameters of each model for its own runs."""
         known: dict[str, Prior] = {}
         for part in self.parts:
             known |= capabilities.uncertain(part, [run for run in runs if run.model == part.kind])
         return known
 
     def scattering(self) -> tuple[str, ...]:
-        """What may scatter in each of them."""
+        """Return the parameters of all models that may differ between elements."""
         return tuple(p for part in self.parts for p in capabilities.scattering(part))
 
     def one_by_one(self) -> tuple[str, ...]:
-        """What may be wrong of one element in each of them."""
+        """Return the parameters of all models of which a single element may be wrong."""
         return tuple(p for part in self.parts for p in capabilities.one_by_one(part))
 
     def free_inputs(self, run: Run) -> tuple[str, ...]:
-        """Those of the model of the run's kind."""
+        """Return the free inputs of the model of the run's kind."""
         return capabilities.free_inputs(self.part(run.model), run)
 
     def initial_section(self, inputs: SeveralInputs) -> dict[str, Any]:
-        """That of the model of the run's kind."""
+        """Return the initial section of the model of the run's kind."""
         return capabilities.initial_section(self.part(inputs.kind), inputs.inputs)
 
     def integration(self) -> Integration | None:
-        """That of the first of them which has one."""
+        """Return the integration settings of the first model that is integrated."""
         known = map(capabilities.integration, self.parts)
         return next((each for each in known if each is not None), None)
 
     def with_integration(self, *, solver: str | None, tolerance: float | None) -> Self:
-        """Those of them that are integrated, with another solver or tolerance.
+        """Return the models with another solver or tolerance for those that are integrated.
 
         Raises:
-            InputError: as of that model.
+            InputError: as for these models.
         """
 
         def changed(part: AbstractModel) -> AbstractModel:
@@ -225,8 +224,8 @@ class SeveralModels(AbstractModel):
         return self._each(changed)
 
     def for_derivatives(self, paths: Sequence[str]) -> Self:
-        """Each of them as exact in derivatives as in predictions."""
-        # Of paths that no model has, those of prepared inputs, any may be asked.
+        """Return the models with derivatives that are as accurate as predictions."""
+        # Paths that belong to no model are those of prepared inputs, which any model may have.
         ours = _paths_of(self, paths)
         inputs = [path for path in paths if path not in ours]
         return self._each(
@@ -234,7 +233,7 @@ class SeveralModels(AbstractModel):
         )
 
     def _agreed(self) -> Self:
-        """With what one states of a shared parameter and the others leave at its default."""
+        """Return the models with each shared parameter at the value that a sidecar gives."""
         agreed = self
         for path, parameter in declared(self).items():
             if not parameter.is_shared:
@@ -245,8 +244,8 @@ class SeveralModels(AbstractModel):
             stated = [value for value in found if not np.all(value == usual)]
             if any(not np.array_equal(value, stated[0]) for value in stated[1:]):
                 raise InputError(
-                    f"the sidecars state different values of '{path}', which is one parameter of "
-                    f"the models {self.kind}: correct one of them"
+                    f"the sidecars give different values of '{path}', which is a single parameter "
+                    f"of the models {self.kind}: correct one of the values"
                 )
             if stated and len(stated) < len(found):
                 agreed = replace(agreed, {path: stated[0]})

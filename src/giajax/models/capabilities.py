@@ -1,8 +1,8 @@
-"""What a model may have beyond its protocol: one function for each optional method.
+"""Optional methods of models: one function for each, with a result for models without it.
 
-Each function calls the method of its own name, with the same arguments, where the model has one;
-its docstring says what the method returns, and what holds for a model without it. Generic code
-calls these functions, so that no class has to answer "nothing".
+Each function calls the method of the same name, with the same arguments, if the model has it.
+Its docstring describes the result of the method, and the result for a model without it. Generic
+code calls these functions, so no class has to implement methods that do nothing.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,16 +21,16 @@ T = TypeVar("T")
 
 
 class Derived(NamedTuple):
-    """A quantity that follows from the parameters: its value and its unit."""
+    """A quantity computed from the parameters: its value and its unit."""
 
     value: Scalar
     unit: str
 
 
 class Integration(NamedTuple):
-    """How a model is integrated: its solver by name, and the tolerance of a step.
+    """Integration of a model: name of the solver, and tolerance of a step.
 
-    The tolerance is None where it is not stated: a fit then chooses it.
+    A tolerance of None means that a fit chooses it.
     """
 
     solver: str
@@ -38,28 +38,28 @@ class Integration(NamedTuple):
 
 
 def _asked(model: AbstractModel, name: str, otherwise: T, *arguments: Any, **named: Any) -> T:
-    """What an optional method of a model returns; `otherwise` for a model without it."""
+    """Call an optional method of a model; return `otherwise` for a model without it."""
     method: Callable[..., T] | None = getattr(model, name, None)
     return otherwise if method is None else method(*arguments, **named)
 
 
 def failure(model: AbstractModel, inputs: Any) -> str:
-    """Why the prediction of a prepared run did not succeed, and what to do: one sentence.
+    """Return why the prediction of a prepared run failed, and what to do, in one sentence.
 
     Without the method the sentence says that the cause is not checked.
     """
     unknown = (
-        f"the prediction of the {model.kind} model did not succeed, for a cause that is not known: "
-        "choose other start values"
+        f"the prediction of the {model.kind} model failed for an unknown reason: choose other "
+        "start values"
     )
     return _asked(model, "failure", unknown, inputs)
 
 
 def conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -> list[str]:
-    """Sentences: on what the parameters, fitted to these runs, are conditional.
+    """Return sentences on the conditions under which parameters fitted to these runs are valid.
 
-    Of the runs some may be of another kind, and determine the same parameters otherwise. Without
-    the method the only sentence says that this is not checked.
+    Some of the runs may be of another kind, and determine the same parameters in another way.
+    Without the method, a single sentence says that the conditions are not checked.
     """
     unknown = (
         f"not checked: the {model.kind} model does not declare the conditions of its parameters"
@@ -68,61 +68,62 @@ def conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[Run]) -
 
 
 def refined(model: AbstractModel, factor: float) -> AbstractModel | None:
-    """The same model with its numerical tolerances multiplied by a factor.
+    """Return the model with its numerical tolerances multiplied by a factor.
 
-    A model in closed form returns itself. None without the method: the effect of the tolerances is
-    then not checked.
+    A model in closed form returns itself. Without the method the result is None, and the effect of
+    the tolerances is not checked.
     """
     return _asked(model, "refined", None, factor)
 
 
 def scene(model: AbstractModel, run: Run) -> Scene | None:
-    """What is seen of the model as it follows a run; None without the method.
+    """Return the visible parts of the model as it follows a run; None without the method.
 
     Raises:
-        InputError: the run is not one of this model.
+        InputError: the run does not belong to this model.
         SimulationError: the model cannot be evaluated.
     """
     return _asked(model, "scene", None, run)
 
 
 def at_start(model: AbstractModel, runs: Sequence[Run], free: Sequence[str]) -> AbstractModel:
-    """The model from which a fit of some parameters to some runs may start.
+    """Return the model from which a fit of some parameters to some runs can start.
 
-    A model has the method where a parameter has, by default, a value at which nothing responds to
-    it. Without it, the model itself. `free` are the paths of the elements to fit that have no
-    start.
+    A model has this method if, at its default value, a parameter does not affect the prediction.
+    Without the method, the model itself is returned. `free` contains the paths of the elements to
+    fit that have no start value.
     """
     return _asked(model, "at_start", model, runs, free)
 
 
 def derived(model: AbstractModel) -> dict[str, Derived]:
-    """Quantities that follow from the parameters and may be determined where those are not.
+    """Return quantities that depend on the parameters and may be determined if those are not.
 
-    Such as the products of parameters that show only together. Traced and differentiated by JAX; a
-    fit gives each a standard error. By name, which is not a path of a parameter.
+    Examples are products of parameters that only act together. They are traced and differentiated
+    by JAX, and a fit gives each a standard error. Their names are not paths of parameters.
     """
     return _asked(model, "derived", {})
 
 
 def uncertain(model: AbstractModel, runs: Sequence[Run]) -> dict[str, Prior]:
-    """What of devices and constants is never known exactly, by path, with what is known of it.
+    """Return priors by path of device parameters and constants that are never known exactly.
 
-    A fit frees it. The prior of an array is that of its first element, and the others change in
-    proportion. Nothing without the method.
+    A fit frees them. The prior of an array applies to its first element, and the others change in
+    proportion. Without the method there are none.
     """
     return _asked(model, "uncertain", {}, runs)
 
 
 def scattering(model: AbstractModel) -> tuple[str, ...]:
-    """Parameters of which each element may be another one: `giajax.suspects` tests their spread."""
+    """Return parameters whose elements may differ; `giajax.suspects` tests their spread."""
     return _asked(model, "scattering", ())
 
 
 def one_by_one(model: AbstractModel) -> tuple[str, ...]:
-    """Parameters of which one element may be wrong: `giajax.suspects` tests each, and all together.
+    """Return parameters of which a single element may be wrong.
 
-    As one drive does not move, or all reach too little.
+    An example is a drive that does not move. `giajax.suspects` tests each element, and all of them
+    together.
     """
     return _asked(model, "one_by_one", ())
 
@@ -130,64 +131,66 @@ def one_by_one(model: AbstractModel) -> tuple[str, ...]:
 def unseen(
     model: AbstractModel, inputs: Any, channels: tuple[str, ...]
 ) -> dict[str, npt.NDArray[np.bool_]]:
-    """Samples of a prepared run at which an experiment could not record a channel.
+    """Return the samples of a prepared run at which an experiment cannot record a channel.
 
-    By channel, each of shape (sample,), such as where a point is out of a camera's picture; what it
-    does not name is always recorded.
+    The masks are by channel, each of shape (sample,), for example where a point is outside the
+    image of a camera. Channels that are not included can always be recorded.
     """
     return _asked(model, "unseen", {}, inputs, channels)
 
 
 def variants(model: AbstractModel) -> dict[str, AbstractModel]:
-    """The same model with one of its choices made another way, by the name of that choice.
+    """Return variants of the model that each differ in one choice, by the name of the choice.
 
-    Choices are what no parameter blends, such as where drag acts. `giajax.suspects` tries each of
-    them.
+    A choice cannot be expressed by a parameter, such as the points at which drag acts.
+    `giajax.suspects` tries each of them.
     """
     return _asked(model, "variants", {})
 
 
 def rather(model: AbstractModel) -> dict[str, str]:
-    """By the path of a parameter, the name of the variant that is to be believed in its place.
+    """Return, by parameter path, the name of the variant that is preferred to this parameter.
 
-    Where both describe a recording about as well. Nothing without the method.
+    It is preferred if both describe a recording about equally well. Without the method there are
+    none.
     """
     return _asked(model, "rather", {})
 
 
 def freed_with(model: AbstractModel) -> dict[str, tuple[str, ...]]:
-    """By the path of what switches a part on, what of that part is a guess that is freed with it.
+    """Return, by the path that activates a part, the parameters of this part to free with it.
 
-    By a selection that tries it. Nothing without the method.
+    Their values are guesses, so a selection that tries the part frees them. Without the method
+    there are none.
     """
     return _asked(model, "freed_with", {})
 
 
 def free_inputs(model: AbstractModel, run: Run) -> tuple[str, ...]:
-    """Declared parameters of the prepared inputs that are free in this run, by path.
+    """Return the paths of declared parameters of the prepared inputs that are free in this run.
 
-    They belong to the run alone, such as its initial state.
+    They belong only to this run, such as its initial state.
     """
     return _asked(model, "free_inputs", (), run)
 
 
 def initial_section(model: AbstractModel, inputs: Any) -> dict[str, Any]:
-    """Keys of `[initial]` that state how a prepared run begins.
+    """Return the keys of `[initial]` for the initial state of a prepared run.
 
-    A run that says `first_row = true` can then be recorded again with another first row.
+    A run with `first_row = true` can then be recorded again with another first row.
     """
     return _asked(model, "initial_section", {}, inputs)
 
 
 def integration(model: AbstractModel) -> Integration | None:
-    """How the model is integrated; None where it is in closed form or has steps of its own."""
+    """Return how the model is integrated; None in closed form or with steps of its own."""
     return _asked(model, "integration", None)
 
 
 def with_integration(
     model: AbstractModel, *, solver: str | None, tolerance: float | None
 ) -> AbstractModel:
-    """The same model with another solver or tolerance; None leaves the one it has.
+    """Return the model with another solver or tolerance; None keeps the current one.
 
     Raises:
         InputError: the model has none, the solver does not exist, or the tolerance is not a
@@ -206,10 +209,10 @@ def with_integration(
 
 
 def for_derivatives(model: AbstractModel, paths: Sequence[str]) -> AbstractModel:
-    """The same model, as exact in derivatives by some parameters as in its predictions.
+    """Return the model with derivatives that are as accurate as its predictions.
 
-    A model that integrates may need shorter steps for them. Its predictions do not depend on
-    whether they are differentiated, so that a fit and a sensitivity study request this. Paths are
-    of parameters of the model, or of the prepared inputs (`free_inputs`).
+    A model that is integrated may need shorter steps for derivatives. Its predictions must not
+    depend on whether they are differentiated, so fits and sensitivity studies call this function.
+    Paths are those of parameters of the model, or of the prepared inputs (`free_inputs`).
     """
     return _asked(model, "for_derivatives", model, paths)

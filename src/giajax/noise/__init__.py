@@ -1,4 +1,4 @@
-"""Noise of channels, and whether residuals are what noise alone would leave."""
+"""Noise of channels, and tests of whether residuals are consistent with noise alone."""
 
 from ._estimate import (
     estimate as estimate,

@@ -12,16 +12,17 @@ from ._restricted import Cells, Restricted, best_scales, scaled, solve
 
 _ROUNDS = 20
 
-# The white part that tells an outlier from a jump of the correlated part, at least.
+# Smallest white part, relative to the standard deviation of a cell, that distinguishes an outlier
+# from a jump of the correlated part.
 _LEAST_WHITE = 0.1
 
-_LEAST_WEIGHT = 1e-12  # of a cell that has none: its variance is divided by it
+_LEAST_WEIGHT = 1e-12  # minimum weight of a cell, which divides its variance
 
 
 def robust_deviation(residuals: Float[np.ndarray, " cell"]) -> float:
-    """Standard deviation of normal noise with some outliers; never 0."""
+    """Return a robust standard deviation of normal noise with some outliers, which is never 0."""
     size = np.abs(np.asarray(residuals, dtype=float))
-    # Never zero: data without noise would weigh infinitely.
+    # It is never zero, because data without noise would have infinite weight.
     return max(MAD * float(np.median(size)), 1e-12 * float(np.max(size, initial=0.0)), 1e-300)
 
 
@@ -30,19 +31,24 @@ def outlier_weights(
     noise: ChannelNoise,
     weigh: Callable[[np.ndarray], np.ndarray] = lambda size: 1 / np.maximum(size, 1.0),
 ) -> Float[np.ndarray, " cell"]:
-    """A loss's weights of the white part of each cell, as `weigh` gives them of its size; Huber's.
+    """Return the weights of the white parts of the cells for a loss, by default the Huber loss.
 
-    They minimise the sum of the loss of the white part and of the square of the correlated
-    one: an outlier is not correlated noise, so its neighbours do not predict it, nor it them
-    (iteratively reweighted least squares; Huber 1981, section 7.8). The white variance of a cell is
-    divided by its weight, which is above 0.
+    The weights minimise the sum of the loss of the white part and of the square of the correlated
+    part. An outlier is not correlated noise: its neighbours do not predict it, and it does not
+    predict them (iteratively reweighted least squares; Huber 1981, section 7.8). The white variance
+    of a cell is divided by its weight, which is positive.
+
+    Arguments:
+        cells: cells of one channel.
+        noise: noise of the channel.
+        weigh: function that returns the weights for normalised sizes of the white parts.
     """
     white = max(noise.white, _LEAST_WHITE * noise.deviation)
     noise = dataclasses.replace(noise, white=white)
     weights = np.ones(len(cells.residual))
     for _ in range(_ROUNDS):
         solved = solve(noise, cells.times, weights, cells.residual[:, None])[0][:, 0]
-        # V^-1 e times the white variance is the white part of e.
+        # V^-1 e, multiplied by the white variance, is the white part of e.
         own = np.abs(white**2 / weights * solved) / white
         after = np.maximum(weigh(own), _LEAST_WEIGHT)
         done = np.max(np.abs(after - weights), initial=0.0) < 1e-3
@@ -52,41 +58,44 @@ def outlier_weights(
     return weights
 
 
-# Twice the gain in log-likelihood that correlation must bring, for two more parameters: white noise
-# is taken for correlated in about one fit of twenty, and its intervals are wider then.
+# Smallest value of twice the gain in log-likelihood for which noise counts as correlated, with two
+# additional parameters. White noise is then classified as correlated in about one of twenty fits,
+# whose intervals are wider.
 _LEAST_GAIN = 5.0
 
 
 def _worth_it(channels: int) -> float:
-    """That gain where so many channels are asked: a chance hit among many is not hysteresis."""
+    """Return this gain for a number of tested channels, which limits chance detections."""
     return float(_LEAST_GAIN + 2 * np.log(channels))
 
 
-# Twice the gain at the best of a few tries, below which no search from there ends above that.
+# Twice the gain at the best of a few trial points, below which a search from there would fail.
 _PROMISING = 1.0
 
-_FEWEST_SAMPLES = 20  # no statement on correlation is made from fewer cells
+_FEWEST_SAMPLES = 20  # minimum number of cells for a test of correlation
 
-# How a deviation is made of white noise and what is correlated, as an angle, rad: its cosine and
-# its sine, of which either may be next to nothing. Where one is, the likelihood depends on the
-# square of it: a search ends there, where it would go on for ever along a logarithm.
+# Composition of the noise as an angle, rad. Its cosine is the white part and its sine the
+# correlated part, and either may be very small. The likelihood then depends on the square of the
+# small part, so a search ends there. With a logarithm it would continue for ever.
 _MIXED = (0.08, np.pi / 2 - 1e-3)
 
-# Where a search may begin: angles, and how many times between the shortest and the longest.
+# Initial guesses of a search: angles, and the number of times between the shortest and longest.
 _ANGLES = (0.25, 0.6, 1.2)
 _TIMES = 4
 
-# Of the minimiser. The likelihood is a logarithm of thousands: its differences are of steps that
-# its rounding does not reach, and an iteration that gains less than this is the last.
+# Settings of the minimiser. The likelihood is a logarithm of the order of thousands. The step of
+# its differences exceeds its rounding errors, and an iteration with a smaller gain is the last.
 _STEP = 1e-5
 _ENOUGH = 1e-4
 _ITERATIONS = 30
 
 
 class Shape(NamedTuple):
-    """Correlated noise but for its size: the correlated part over the white one, and the time.
+    """Correlated noise apart from its size.
 
-    The first is the tangent of an angle (rad), the second as a logarithm (of s).
+    Attributes:
+        angle: angle, rad, whose tangent is the ratio of the correlated part to the white part.
+        log_time: logarithm of the correlation time in s.
     """
 
     angle: float
@@ -94,12 +103,12 @@ class Shape(NamedTuple):
 
     @classmethod
     def of(cls, noise: ChannelNoise) -> Self:
-        """That of some noise, inside the range of a search."""
+        """Return the shape of given noise, limited to the range of a search."""
         angle = float(np.clip(np.arctan2(noise.correlated, noise.white), 0.1, 1.5))
         return cls(angle, float(np.log(noise.time_s)))
 
     def noise(self, deviation: float) -> ChannelNoise:
-        """The noise of which a cell has a deviation."""
+        """Return the noise with this shape and the given standard deviation of a cell."""
         return ChannelNoise(
             white=deviation * float(np.cos(self.angle)),
             correlated=deviation * float(np.sin(self.angle)),
@@ -108,7 +117,7 @@ class Shape(NamedTuple):
 
 
 def time_limits(problem: Restricted, key: str) -> tuple[float, float] | None:
-    """Logarithms of the shortest and longest time of correlated noise; None without any."""
+    """Return the logarithms of the shortest and longest correlation time, or None."""
     cells = problem.of_key(key)
     timed = [each.times for each in cells if each.times is not None and len(each.times) > 2]
     if not timed or sum(len(each.residual) for each in cells) < _FEWEST_SAMPLES:
@@ -118,9 +127,9 @@ def time_limits(problem: Restricted, key: str) -> tuple[float, float] | None:
 
 
 def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Shape]:
-    """The best of a few shapes of each key for which one is better than white noise.
+    """Return the best of a few shapes for each key, if it is better than white noise.
 
-    The problem has white noise of about the right size, or correlated noise.
+    The noise of the problem is white with approximately the right size, or correlated.
     """
     alike: dict[Hashable, list[str]] = {}
     for key in problem.noise:
@@ -148,7 +157,7 @@ def promising(problem: Restricted, stated: Mapping[str, Stated]) -> dict[str, Sh
 
 
 def _gain(values: np.ndarray) -> float:
-    """By how much the best of the others is better than the first, in -2 log L."""
+    """Return the advantage of the best of the other values over the first, in -2 log L."""
     return float(values[0] - np.min(values[1:]))
 
 
@@ -161,9 +170,10 @@ def best_correlated(
     *,
     fixed: bool,
 ) -> ChannelNoise:
-    """The best correlated noise of a key, where it is worth it; else the best white one.
+    """Return the best correlated noise of a key if its gain is large enough, else white noise.
 
-    The search begins at the best of the starts; `fixed`: a cell's deviation is that of `white`.
+    The search begins at the best of the initial guesses. With `fixed`, the standard deviation of a
+    cell is that of `white`.
     """
     size = white.deviation
     noises = [white, *(shape.noise(size) for shape in starts)]
@@ -183,10 +193,10 @@ def best_correlated(
         slopes = [(other[0] - value) / step for other, step in zip(others, steps, strict=True)]
         return value, np.array([*slopes, (larger - value) / _STEP])
 
-    # Slow to import, and most fits estimate no noise.
+    # The import is slow, and most fits do not estimate noise.
     from scipy.optimize import minimize
 
-    # SciPy's is relative to the likelihood, which is as large as there are cells.
+    # The tolerance of SciPy is relative to the likelihood, which grows with the number of cells.
     options = {"ftol": _ENOUGH / max(abs(least), 1.0), "maxiter": _ITERATIONS}
     done = minimize(
         with_slopes, [*at, 0.0], jac=True, method="L-BFGS-B", bounds=bounds, options=options
@@ -197,21 +207,24 @@ def best_correlated(
     return Shape(angle, time).noise(size * float(np.exp(scale)))
 
 
-# That stated noise must be missed by to be left: a chance of 1 in 100, for one parameter.
+# Smallest deviation from the specified noise that rejects it: a probability of 1 in 100 for one
+# parameter.
 _REJECTED = 6.63
 
-# The noise of a channel depends little on that of the others: through the parameters alone.
+# The noise of a channel depends little on that of the others, because only the parameters connect
+# them.
 _SWEEPS = 2
 
-# Squared residuals over stated noise, for each cell, below which more noise is not asked for.
+# Mean of the squared residuals, divided by the specified variance, below which no larger noise is
+# estimated.
 _MORE = 1.05
 
 
 def estimate(problem: Restricted, stated: Mapping[str, Stated], *, correlated: bool) -> Restricted:
-    """The likelihood with the noise of every key that makes it largest, by what is known."""
+    """Return the likelihood with the most likely noise of every key, given the specified noise."""
     starts: dict[str, Shape] = {}
     if correlated:
-        # Most noise is white: all channels are asked at once whether they are worth a search.
+        # Most noise is white, so all channels are tested together before any search.
         for key, present in problem.noise.items():
             if present.is_white:
                 problem = problem.with_noise(key, _white(problem, key, stated[key]))
@@ -227,7 +240,7 @@ def estimate(problem: Restricted, stated: Mapping[str, Stated], *, correlated: b
 
 
 def _white(problem: Restricted, key: str, stated: Stated) -> ChannelNoise:
-    """As it is stated; else the best white one."""
+    """Return the specified white noise, otherwise the most likely white noise."""
     known = stated.noise_of(correlated=False)
     return known or scaled(problem, key, ChannelNoise(problem.noise[key].deviation))
 
@@ -235,7 +248,10 @@ def _white(problem: Restricted, key: str, stated: Stated) -> ChannelNoise:
 def _of_key(
     problem: Restricted, key: str, stated: Stated, start: Shape | None, *, correlated: bool
 ) -> ChannelNoise:
-    """The best noise of a key with the others as they are; `start`: a promising correlated one."""
+    """Return the most likely noise of a key, with the noise of the others unchanged.
+
+    `start` is a promising shape of correlated noise, or None.
+    """
     if correlated and stated.correlated is not None and (known := stated.noise) is not None:
         return known
     white, present = _white(problem, key, stated), problem.noise[key]
@@ -258,5 +274,5 @@ def _of_key(
     free = best_correlated(problem, key, scaled(problem, key, white), starts, limits, fixed=False)
     if problem.value(key, best) - problem.value(key, free) <= _REJECTED:
         return best
-    # White noise beyond what is stated scales the errors of all channels alike.
+    # White noise above the specified noise scales the errors of all channels equally.
     return white if free.is_white else free

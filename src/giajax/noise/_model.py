@@ -1,4 +1,4 @@
-"""White noise plus correlated noise of one channel, and what differences of samples show of it."""
+"""White and correlated noise of one channel, and its estimate from differences of samples."""
 
 import dataclasses
 import math
@@ -12,16 +12,16 @@ from ..runtime.arrays import Float
 
 @dataclasses.dataclass(frozen=True)
 class ChannelNoise:
-    """What each cell of a channel is off by: a part of its own, and one that it shares.
+    """Noise of the cells of a channel: a white part and a correlated part.
 
-    The second part is an Ornstein-Uhlenbeck process, the continuous-time AR(1): a normal variable
-    whose correlation between two instants is exp(-|dt| / time_s), so that uneven samples and gaps
-    are treated as they are.
+    The correlated part is an Ornstein-Uhlenbeck process, which is an AR(1) process in continuous
+    time. It is a normal variable whose correlation between two instants is exp(-|dt| / time_s), so
+    uneven samples and gaps are treated exactly.
 
     Attributes:
-        white: standard deviation of the part that differs from cell to cell, SI.
-        correlated: standard deviation of the correlated part, SI.
-        time_s: its correlation time, s; 0 where there is no such part.
+        white: standard deviation of the part that is independent from cell to cell, SI units.
+        correlated: standard deviation of the correlated part, SI units.
+        time_s: correlation time of the correlated part, s, 0 if there is no such part.
     """
 
     white: float
@@ -30,33 +30,33 @@ class ChannelNoise:
 
     @classmethod
     def of_cell(cls, deviation: float, correlated: float, time_s: float) -> Self:
-        """The noise whose two parts together have the deviation of a cell, SI."""
+        """Return the noise whose parts together have the given standard deviation, SI units."""
         white = math.sqrt(max(deviation**2 - correlated**2, 0.0))
         return cls(white, correlated, time_s if correlated else 0.0)
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of a cell, both parts together, SI."""
+        """Standard deviation of a cell, both parts together, SI units."""
         return math.hypot(self.white, self.correlated)
 
     @property
     def is_white(self) -> bool:
-        """Whether no part is correlated."""
+        """Whether the noise has no correlated part."""
         return self.correlated == 0
 
     def times(self, factor: float) -> Self:
-        """The same noise, a number of times as large."""
+        """Return the noise multiplied by a factor."""
         return type(self)(self.white * factor, self.correlated * factor, self.time_s)
 
 
 @dataclasses.dataclass(frozen=True)
 class Stated:
-    """What is known of the noise of a key beforehand.
+    """Noise of a key that is known before a fit.
 
     Attributes:
-        deviation: of a cell, SI; None where nothing is.
-        correlated: of the correlated part; None where nothing is.
-        time_s: its correlation time, s.
+        deviation: standard deviation of a cell, SI units, or None if it is unknown.
+        correlated: standard deviation of the correlated part, or None if it is unknown.
+        time_s: correlation time of that part, s.
     """
 
     deviation: float | None = None
@@ -65,11 +65,11 @@ class Stated:
 
     @property
     def noise(self) -> ChannelNoise | None:
-        """The noise as it is stated; None where its size is not."""
+        """Specified noise, or None if its size is not specified."""
         return self.noise_of(correlated=True)
 
     def noise_of(self, *, correlated: bool) -> ChannelNoise | None:
-        """The noise as it is stated, or as white as it is large; None where its size is not."""
+        """Return the specified noise, or white noise of the same size, or None if unknown."""
         if self.deviation is None:
             return None
         part = self.correlated if correlated else None
@@ -81,22 +81,23 @@ def gains(
     times: Float[np.ndarray, " sample"] | None,
     weights: Float[np.ndarray, " sample"],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a pass forward over the samples needs to make the noise white (a Kalman filter).
+    """Return the gains of a forward pass over the samples that whitens noise (a Kalman filter).
 
-    With m the part of a cell's noise that the cells before it predict, the cell less m has the
-    deviation that is returned, independent of all before, and m goes on by
+    Let m be the part of a cell's noise that the earlier cells predict. The cell minus m has the
+    returned standard deviation and is independent of all earlier cells, and m is updated by
 
         m <- keep m + gain (cell - m).
 
-    The deviations are those of the innovations: the product of their squares is |V|.
+    The returned standard deviations are those of the innovations. The product of their squares is
+    |V|.
 
     Arguments:
-        noise: of the channel.
-        times: of all samples, s, increasing; None where they have no time.
-        weights: of the cells; 0 where a cell is not measured.
+        noise: noise of the channel.
+        times: times of all samples, s, increasing, or None if they have no times.
+        weights: weights of the cells, 0 where a cell is not measured.
 
     Returns:
-        keep, gain and deviation, each of shape (sample,).
+        keep, gain and standard deviation, each of shape (sample,).
     """
     count = len(weights)
     measured = weights > 0
@@ -124,7 +125,7 @@ def whitened(
     columns: Float[np.ndarray, "cell column"],
     weights: Float[np.ndarray, " cell"] | None = None,
 ) -> Float[np.ndarray, "cell column"]:
-    """Columns over the cells of a channel, in its unit, made independent and of unit variance."""
+    """Whiten columns over the cells of a channel, in its unit, to unit variance."""
     weights = np.ones(len(columns)) if weights is None else weights
     keep, gain, deviation = gains(noise, times, weights)
     if not np.any(gain):
@@ -138,7 +139,7 @@ def whitened(
     return result
 
 
-# Cells that robust statistics left no weight, or hardly any, are this many deviations wide.
+# Smallest weight of a cell, such as an outlier: its white noise is at most 10 times wider.
 _LEAST_WEIGHT = 1e-2
 
 
@@ -148,19 +149,19 @@ def drawn(
     weights: Float[np.ndarray, "sample channel"],
     random: np.random.Generator,
 ) -> Float[np.ndarray, "sample channel"]:
-    """Noise of some channels of a run: white, and correlated across gaps.
+    """Draw noise of some channels of a run: white noise, and noise that is correlated across gaps.
 
     The correlated part is exact for any spacing of the samples.
 
     Arguments:
-        noises: of the channels.
-        times: of all samples, s; None where they have none: the noise is then white.
-        weights: of the cells, 1 but for outliers, whose white part is wider by their root; a cell
-            that is not measured has noise, too.
-        random: draws it.
+        noises: noise of each channel.
+        times: times of all samples, s, or None. Noise without times is white.
+        weights: weights of the cells, less than 1 for outliers, whose white part is divided by the
+            square root. A cell that is not measured has noise, too.
+        random: random number generator.
 
     Returns:
-        SI.
+        Noise, SI units.
     """
     count = len(weights)
     white = np.asarray([noise.white for noise in noises])
@@ -182,13 +183,13 @@ def drawn(
 
 
 MAD = 1.4826  # 1.4826 median(|x|) estimates the standard deviation of a normal variable
-_FEWEST_DIFFERENCES = 8  # fewer second differences know no deviation
+_FEWEST_DIFFERENCES = 8  # smaller numbers of second differences give no estimate
 
 
 def by_second_differences(values: np.ndarray) -> float | None:
-    """Deviation of white noise on something smooth, from the median of second differences.
+    """Return the white noise of a smooth signal, from the median of its second differences.
 
-    NaN is not measured; there is none from too few.
+    NaN is not measured. The result is None for too few differences.
     """
     second = np.diff(values, 2)
     second = second[~np.isnan(second)]
@@ -196,17 +197,18 @@ def by_second_differences(values: np.ndarray) -> float | None:
 
 
 def from_differences(values: np.ndarray) -> float:
-    """Noise of a recorded channel from its second differences, before any model is known.
+    """Return the noise of a recorded channel from its second differences, without a model.
 
-    A motion that is smooth over three samples leaves only noise in x[i-1] - 2 x[i] + x[i+1],
-    whose standard deviation is sqrt(6) times that of white noise. The median keeps outliers
-    out, and NaN is not measured. A channel without visible noise gets a thousandth of its range.
+    For a motion that is smooth over three samples, x[i-1] - 2 x[i] + x[i+1] contains only noise,
+    with a standard deviation of sqrt(6) times that of white noise. The median is robust to
+    outliers, and NaN is not measured. A channel without visible noise gets one thousandth of its
+    range.
     """
     measured = values[~np.isnan(values)]
     estimate = by_second_differences(values)
     if estimate is None:
         estimate = _deviation(np.diff(measured, 2))
-    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # an outlier is no range
+    span = float(np.ptp(np.quantile(measured, [0.05, 0.95])))  # excludes outliers from the range
     return max(estimate, 1e-3 * span) or 1.0
 
 

@@ -1,17 +1,17 @@
-"""The restricted likelihood of the noise, given what a fit left over and what it could move.
+"""Restricted likelihood of the noise, given the residuals of a fit and its Jacobian.
 
-Parameters that are fitted take with them a part of the noise, most of what is slow: the plain
-likelihood takes slow noise for too small. The restricted likelihood (Patterson and Thompson 1971)
-is that of all combinations of the cells which no parameter changes. To first order in the
-parameters, with V the covariance of the cells, J the Jacobian and e the residuals,
+Fitted parameters absorb a part of the noise, in particular slow noise, so the plain likelihood
+underestimates slow noise. The restricted likelihood (Patterson and Thompson 1971) is the likelihood
+of all combinations of cells that no parameter changes. To first order in the parameters, with V the
+covariance of the cells, J the Jacobian and e the residuals,
 
     -2 log L = log|V| + log|J^T V^-1 J| + min_d (e + J d)^T V^-1 (e + J d).
 
-What is known of a parameter before is one more row of residuals, of variance one: what takes part
-in both J^T V^-1 J and the minimum. It is then the likelihood of all cells, with the parameter drawn
-from its prior: of a parameter that is known well, the plain one.
+A prior of a parameter is an additional row of the residual with unit variance, which contributes to
+both J^T V^-1 J and the minimum. The function is then the likelihood of all cells with the parameter
+drawn from its prior. For a parameter that is known accurately, it is the plain likelihood.
 
-Runs share some columns of J and have others of their own, which are eliminated run by run.
+Runs share some columns of J and have others of their own, which are eliminated in each run.
 """
 
 import dataclasses
@@ -25,16 +25,16 @@ from scipy.linalg.lapack import dpttrf, dpttrs
 from ..runtime.arrays import Bool, Float
 from ._model import ChannelNoise, Stated, whitened
 
-# The covariance of consecutive samples of a channel, whose inverse costs a pass over them.
+# The covariance of consecutive samples of a channel, whose inverse requires one pass over them.
 #
-# The precision of an Ornstein-Uhlenbeck process at any instants is tridiagonal (Rue and Held,
-# "Gaussian Markov Random Fields", 2005, section 1.2.1). With T that of unit variance, the
-# covariance of white noise of deviations w and a correlated part of variance c is V = diag(w^2) +
-# c T^-1, and
+# The precision matrix of an Ornstein-Uhlenbeck process at any instants is tridiagonal (Rue and
+# Held, "Gaussian Markov Random Fields", 2005, section 1.2.1). Let T be that matrix for unit
+# variance. The covariance of white noise with standard deviations w and a correlated part of
+# variance c is V = diag(w^2) + c T^-1, and
 #
 #     V^-1 = (c + w^2 T)^-1 T,    log|V| = log|c + w^2 T| - log|T|.
 
-# Neighbours that are closer than this part of the correlation time are told apart no more.
+# Smallest distance between neighbours, as a fraction of the correlation time.
 _CLOSEST = 1e-9
 
 
@@ -44,21 +44,22 @@ def solve(
     weights: Float[np.ndarray, " sample"],
     columns: Float[np.ndarray, "sample column"],
 ) -> tuple[Float[np.ndarray, "sample column"], float]:
-    """V^-1 X and log|V| of the noise of measured cells at increasing instants, s.
+    """Return V^-1 X and log|V| for the noise of measured cells at increasing instants, s.
 
-    Without times it is white. The white variance of a cell is divided by its weight, 0 to 1.
+    Noise without times is white. The white variance of a cell is divided by its weight, 0 to 1.
     """
     variance = noise.white**2 / weights
-    # A single cell has no neighbour; LAPACK takes no matrix without an off-diagonal.
+    # A single cell has no neighbour, and LAPACK requires an off-diagonal.
     if times is None or not noise.correlated or len(times) < 2:
         total = variance + noise.correlated**2
         return columns / total[:, None], float(np.sum(np.log(total)))
     diagonal, off, log_t = precision(times, noise.time_s)
-    # With the weights' square roots on both sides the matrix is symmetric, and LAPACK's factors of
-    # a tridiagonal one do: for a few hundred samples SciPy's functions take longer than they.
+    # With the square roots of the weights on both sides the matrix is symmetric, so the LAPACK
+    # factorisation of a tridiagonal matrix applies. For a few hundred samples, the overhead of
+    # SciPy functions would dominate.
     root = np.sqrt(weights)
     diagonal, off = diagonal / weights, off / (root[:-1] * root[1:])
-    # A row for each column of X: what is next to each other in time is so in memory.
+    # One row for each column of X, so that neighbours in time are neighbours in memory.
     rows = np.ascontiguousarray(columns.T) * root
     along = diagonal * rows
     along[:, 1:] += off * rows[:, :-1]
@@ -73,8 +74,11 @@ def solve(
 def precision(
     times: Float[np.ndarray, " sample"], time_s: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Diagonal and first off-diagonal of T, the precision of an Ornstein-Uhlenbeck process of unit
-    variance, and log|T|."""
+    """Return the precision matrix T of an Ornstein-Uhlenbeck process with unit variance.
+
+    Returns:
+        The diagonal and the first off-diagonal of T, and log|T|.
+    """
     apart = np.maximum(np.diff(times) / time_s, _CLOSEST)
     decay = np.exp(-apart)
     fresh = -np.expm1(-2 * apart)
@@ -84,21 +88,23 @@ def precision(
     return diagonal, -decay / fresh, -float(np.sum(np.log(fresh)))
 
 
-_TOGETHER = 2**17  # numbers that are passed over together, at most: what is near the processor
+_TOGETHER = 2**17  # most numbers that are processed together, limited by the processor cache
 
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """The measured cells of one channel of one run.
+    """Measured cells of one channel of one run.
 
     Attributes:
-        key: of their noise: cells of the same key have the same.
+        key: key of their noise. Cells with the same key have the same noise.
         run: number of the run.
-        times: s, increasing, shape (cell,); None for a run without time.
-        weights: of the cells, 1 but for outliers (`ChannelNoise.white` is divided by their root).
-        residual: predicted minus recorded, SI, shape (cell,).
-        shared: its derivatives by the parameters that the runs share, shape (cell, shared).
-        own: its derivatives by those of the run, shape (cell, own).
+        times: times, s, increasing, shape (cell,), or None for a run without times.
+        weights: weights of the cells, less than 1 for outliers (`ChannelNoise.white` is divided by
+            their square root).
+        residual: predicted minus recorded values, SI units, shape (cell,).
+        shared: derivatives of the residual with respect to the parameters that runs share, shape
+            (cell, shared).
+        own: derivatives with respect to the parameters of the run, shape (cell, own).
     """
 
     key: str
@@ -110,7 +116,7 @@ class Cells:
     own: Float[np.ndarray, "cell own"]
 
     def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
-        """Some of the cells."""
+        """Return some of the cells."""
         return dataclasses.replace(
             self,
             times=None if self.times is None else self.times[kept],
@@ -121,23 +127,23 @@ class Cells:
         )
 
     def gram(self, noise: ChannelNoise) -> tuple[np.ndarray, float]:
-        """X^T V^-1 X of own and shared columns and the residual, in that order; and log|V|."""
+        """Return X^T V^-1 X and log|V|. X contains own columns, shared columns and the residual."""
         solved, log_determinant = solve(noise, self.times, self.weights, self._columns)
         return self._columns.T @ solved, log_determinant
 
     @functools.cached_property
     def _columns(self) -> np.ndarray:
-        """Own, shared and residual, those of a column side by side in memory."""
+        """Own columns, shared columns and residual, with each column contiguous in memory."""
         return np.asfortranarray(np.column_stack([self.own, self.shared, self.residual]))
 
     @functools.cached_property
     def instants(self) -> tuple[bytes, bytes]:
-        """Cells of the same ones have the same times and weights, whatever they measure."""
+        """Times and weights as bytes, which are equal for channels with the same samples."""
         return b"" if self.times is None else self.times.tobytes(), self.weights.tobytes()
 
 
 def grams(cells: Sequence[Cells], noise: ChannelNoise) -> list[tuple[np.ndarray, float]]:
-    """`Cells.gram` of each; those at the same instants go through their samples together."""
+    """Return `Cells.gram` of each. Cells at the same instants are processed together."""
     results: dict[int, tuple[np.ndarray, float]] = {}
     for at in _batches(cells):
         first = cells[at[0]]
@@ -150,12 +156,12 @@ def grams(cells: Sequence[Cells], noise: ChannelNoise) -> list[tuple[np.ndarray,
 
 
 def _batches(cells: Sequence[Cells]) -> list[list[int]]:
-    """Positions of cells at the same instants, of no more numbers than go together."""
+    """Return the positions of cells at the same instants, in batches of limited size."""
     batches: list[list[int]] = []
     open_ones: dict[tuple[bytes, bytes], tuple[list[int], int]] = {}
     for i, each in enumerate(cells):
         batch, size = open_ones.get(each.instants, ([], 0))
-        # A channel may have no cells at all.
+        # A channel may have no cells.
         if not batch or size + each._columns.size > _TOGETHER:
             batch, size = [], 0
             batches.append(batch)
@@ -164,7 +170,7 @@ def _batches(cells: Sequence[Cells]) -> list[list[int]]:
     return batches
 
 
-# Column-normalised singular value below which a combination of parameters is not determined.
+# Singular value, for normalised columns, below which a combination is not determined.
 _COLLINEAR = 1e-6
 
 
@@ -173,10 +179,10 @@ def conditioned(
     noise: Mapping[str, ChannelNoise],
     prior: Float[np.ndarray, "column column"],
 ) -> tuple[tuple[Cells, ...], np.ndarray]:
-    """The cells with other columns that span the same: orthonormal with the given noise and prior.
+    """Return cells with columns that are orthonormal for the given noise and prior.
 
-    Directions that neither cells nor prior respond to are left out; so are own columns that do not
-    respond. With the cells goes the prior by their columns.
+    The columns span the same space. Directions to which neither the cells nor the prior respond are
+    omitted, and so are own columns without a response. The prior is returned for the new columns.
     """
     runs = sorted({each.run for each in cells})
     changed = dict(enumerate(cells))
@@ -202,9 +208,9 @@ def conditioned(
 
 
 def orthonormal(gram: np.ndarray) -> np.ndarray:
-    """B with B^T gram B = 1, of the directions that count, shape (column, rank).
+    """Return B with B^T gram B = 1 for the significant directions, shape (column, rank).
 
-    The columns, of which gram is X^T X, may have any size.
+    The columns X, with gram = X^T X, may have any size.
     """
     if not len(gram):
         return gram
@@ -216,17 +222,17 @@ def orthonormal(gram: np.ndarray) -> np.ndarray:
 
 
 ByScale = Callable[[Float[np.ndarray, "noise scale"]], Float[np.ndarray, "noise scale"]]
-"""-2 log L by the logarithms of factors of each of several noises of one key."""
+"""-2 log L as a function of the logarithms of factors on each of several noises of one key."""
 
 
 class _Others(NamedTuple):
-    """What the likelihood is made of apart from the cells of one key.
+    """Parts of the likelihood that do not depend on the cells of one key.
 
     Attributes:
-        runs: Gram matrix of each run that has cells of the key, without them; and how many of its
-            columns are its own.
-        shared: of the other runs and the prior: Gram matrix without their own columns.
-        known: log|V| of the cells, and log-determinants of the columns that are eliminated.
+        runs: for each run with cells of the key, the Gram matrix without these cells, and the
+            number of its own columns.
+        shared: Gram matrix of the other runs and the prior, without their own columns.
+        known: log|V| of the cells, and log-determinants of the eliminated columns.
     """
 
     runs: dict[int, tuple[np.ndarray, int]]
@@ -239,10 +245,11 @@ class Restricted:
     """Minus twice the logarithm of the restricted likelihood, as a function of one key's noise.
 
     Attributes:
-        cells: of all channels of all runs, their columns of about the same size and independent.
-        noise: of each key.
-        grams: of each of `cells`, with that noise.
-        prior: X^T X of the rows of priors; X are the shared columns and, last, the residual.
+        cells: cells of all channels of all runs. Their columns are independent and of similar size.
+        noise: noise of each key.
+        grams: Gram matrix of each of `cells` for that noise.
+        prior: X^T X of the rows of the priors. The columns of X are the shared columns and, last,
+            the residual.
     """
 
     cells: tuple[Cells, ...]
@@ -257,14 +264,14 @@ class Restricted:
         noise: Mapping[str, ChannelNoise],
         prior: Float[np.ndarray, "column column"] | None = None,
     ) -> Self:
-        """The likelihood of the cells of all runs, with noise and prior to begin with."""
+        """Return the likelihood of the cells of all runs, for an initial noise and a prior."""
         if prior is None:
             prior = np.zeros((cells[0].shared.shape[1] + 1,) * 2)
         those, prior = conditioned(cells, noise, prior)
         return cls(those, noise, tuple(each.gram(noise[each.key]) for each in those), prior)
 
     def with_noise(self, key: str, noise: ChannelNoise) -> Self:
-        """The same with another noise of one key."""
+        """Return the likelihood with different noise of one key."""
         if noise == self.noise[key]:
             return self
         changed = (
@@ -274,22 +281,22 @@ class Restricted:
         return dataclasses.replace(self, noise={**self.noise, key: noise}, grams=tuple(changed))
 
     def of_key(self, key: str) -> tuple[Cells, ...]:
-        """The cells of a key."""
+        """Return the cells of a key."""
         return tuple(each for each in self.cells if each.key == key)
 
     def value(self, key: str, noise: ChannelNoise) -> float:
-        """-2 log L where the cells of one key have another noise."""
+        """Return -2 log L if the cells of one key have different noise."""
         return float(self.by_scale(key, [noise])(np.zeros((1, 1)))[0, 0])
 
     def by_scale(self, key: str, noises: Sequence[ChannelNoise]) -> ByScale:
-        """-2 log L by the logarithms of factors of each of several noises of one key."""
+        """Return -2 log L by the logarithms of factors on each of several noises of one key."""
         return self.by_scales([key], noises)[key]
 
     def by_scales(self, keys: Sequence[str], noises: Sequence[ChannelNoise]) -> dict[str, ByScale]:
-        """As `by_scale`, of each of some keys with all others as they are.
+        """Return `by_scale` of each of some keys, with the noise of all others unchanged.
 
-        A factor scales a Gram matrix: the samples are passed over once for all factors, and those
-        of cells at the same instants together.
+        A factor scales a Gram matrix. Therefore one pass over the samples is sufficient for all
+        factors, and cells at the same instants are processed together.
         """
         those = [each for each in self.cells if each.key in keys]
         passes = [grams(those, noise) for noise in noises]
@@ -312,7 +319,7 @@ class Restricted:
         of_runs: Mapping[int, Float[np.ndarray, "noise column column"]],
         determinants: Float[np.ndarray, " noise"],
     ) -> ByScale:
-        """`by_scale`, of the Gram matrices of each run that has cells of the key, and of log|V|."""
+        """Return `by_scale` from log|V| and the Gram matrices of the runs with cells of the key."""
         others = self._without(key)
         count = sum(len(each.residual) for each in self.of_key(key))
 
@@ -330,7 +337,7 @@ class Restricted:
         return value
 
     def _without(self, key: str) -> _Others:
-        """All but the cells of a key."""
+        """Return the parts that do not depend on the cells of a key."""
         if key not in self._sums:
             mine = {each.run for each in self.of_key(key)}
             runs: dict[int, tuple[np.ndarray, int]] = {}
@@ -355,7 +362,7 @@ class Restricted:
 def _eliminated(
     gram: Float[np.ndarray, "... column column"], width: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The Schur complements of the first columns of Gram matrices, and their log-determinants."""
+    """Return Schur complements of the first columns of Gram matrices, and log-determinants."""
     if not width:
         return gram, np.zeros(gram.shape[:-2])
     factor = np.linalg.cholesky(gram[..., :width, :width])
@@ -365,26 +372,26 @@ def _eliminated(
     return rest, 2 * np.sum(np.log(diagonal), axis=-1)
 
 
-# Of a logarithm, in Newton's method: for the derivatives of a likelihood of thousands, by
-# differences, and a change that leaves it as it is.
+# Settings of Newton's method for a logarithm: step of the differences for a likelihood of the order
+# of thousands, largest change at convergence, longest step, and maximum number of iterations.
 _LOG_STEP = 1e-3
 _ENOUGH = 3e-4
 _LONGEST = 1.0
 _ITERATIONS = 20
 
-_FURTHEST = 8.0  # where nothing at all is left, noise may be of any smallness: a logarithm
+_FURTHEST = 8.0  # limit of the logarithm if no residual is left and noise may be arbitrarily small
 
 
 def best_scales(
     by_scale: ByScale, start: Float[np.ndarray, " noise"]
 ) -> tuple[Float[np.ndarray, " noise"], Float[np.ndarray, " noise"]]:
-    """Logarithms of the factors at which noises are most likely, and -2 log L there."""
+    """Return the logarithms of the most likely factors of noises, and -2 log L there."""
     logs = start
     for _ in range(_ITERATIONS):
         behind, here, ahead = by_scale(logs[:, None] + _LOG_STEP * np.array([-1.0, 0.0, 1.0])).T
         slope = (ahead - behind) / (2 * _LOG_STEP)
         curvature = (ahead - 2 * here + behind) / _LOG_STEP**2
-        # Far above the best factor the likelihood is straight, and Newton's step has no meaning.
+        # Far above the best factor the likelihood is straight, and Newton's step is undefined.
         straight = np.where(curvature > 0, curvature, np.abs(slope) / _LONGEST + 1e-300)
         step = np.clip(-slope / straight, -_LONGEST, _LONGEST)
         before, logs = logs, np.clip(logs + step, start - _FURTHEST, start + _FURTHEST)
@@ -394,33 +401,33 @@ def best_scales(
 
 
 def scaled(problem: Restricted, key: str, noise: ChannelNoise) -> ChannelNoise:
-    """The noise times the factor that makes the likelihood largest."""
+    """Return the noise multiplied by its most likely factor."""
     logs, _ = best_scales(problem.by_scale(key, [noise]), np.zeros(1))
     return noise.times(float(np.exp(logs[0])))
 
 
-# What it costs a standard error that the noise was estimated, too.
+# Effect of estimating the noise on standard errors.
 #
-# The covariance of generalised least squares is (J^T V^-1 J)^-1 for a V that is known. With an
-# estimated one it is too small, and normal quantiles are: Kenward and Roger (1997) add the
-# variance that V's errors give the estimates, and Student's t with Satterthwaite's degrees of
-# freedom takes the place of the normal distribution.
+# The covariance of generalised least squares is (J^T V^-1 J)^-1 for a known V. For an estimated V,
+# this covariance and normal quantiles are too small. Kenward and Roger (1997) add the variance that
+# the errors of V cause, and replace the normal distribution by Student's t with Satterthwaite's
+# degrees of freedom.
 
-_STEP = 0.03  # of differences, in the logarithm of a parameter of the noise
+_STEP = 0.03  # step of differences in the logarithm of a noise parameter
 
-# White noise of less than this part of the correlated noise is at its bound of zero, and nothing
-# varies with it.
+# White noise below this fraction of the correlated noise is at its bound of zero, where nothing
+# depends on it.
 _AT_ZERO = 0.15
 
-# Least eigenvalue of the information, its diagonal scaled to one: what the data do not tell apart
-# is no reason for infinite variances.
+# Smallest eigenvalue of the information matrix, scaled to a unit diagonal. Directions that the data
+# cannot distinguish must not cause infinite variances.
 _LEAST = 1e-4
 
 
 class Spread(NamedTuple):
-    """Covariance of estimates, and of each the degrees of freedom of Student's t.
+    """Covariance of estimates, and the degrees of freedom of Student's t for each of them.
 
-    These are infinite where the noise is known.
+    The degrees of freedom are infinite if the noise is known.
     """
 
     covariance: Float[np.ndarray, "parameter parameter"]
@@ -433,13 +440,13 @@ def small_sample(
     covariance: Float[np.ndarray, "parameter parameter"],
     stated: Mapping[str, Stated],
 ) -> Spread:
-    """Covariance and degrees of freedom of estimates whose noise was estimated.
+    """Return the covariance and the degrees of freedom of estimates with estimated noise.
 
     Arguments:
-        problem: the likelihood with the estimated noise.
-        cells: the same, with all parameters as `shared` columns and none of their own.
-        covariance: of the parameters, as if the noise were known.
-        stated: what was known of the noise of each key.
+        problem: likelihood with the estimated noise.
+        cells: the same cells, with all parameters as `shared` columns and no own columns.
+        covariance: covariance of the parameters, as if the noise were known.
+        stated: specified noise of each key.
     """
     size = len(covariance)
     added, variances = np.zeros((size, size)), np.zeros(size)
@@ -464,7 +471,8 @@ def small_sample(
         first, second = _differences(gram, count)
         slopes = np.array([-np.diag(covariance @ each @ covariance) for each in first])
         variances += np.einsum("ia,ij,ja->a", slopes, weight, slopes)
-        # Second differences by variances, not by their logarithms: the covariance is linear there.
+        # Second differences with respect to variances, not their logarithms, because the covariance
+        # is linear in the variances.
         second[family.variances, family.variances] -= first[family.variances]
         through = np.einsum("iab,bc,jcd->ijad", first, covariance, first)
         added += np.einsum("ij,ijab->ab", weight, second / 2 - through)
@@ -472,16 +480,16 @@ def small_sample(
     with np.errstate(divide="ignore", invalid="ignore"):
         degrees_of_freedom = np.where(variances > 0, 2 * plain**2 / variances, np.inf)
         larger = np.diag(covariance + 2 * covariance @ added @ covariance) / plain
-    # A correction of second order may widen an interval, and never to more than double.
+    # This correction of second order may widen an interval, but at most double it.
     factor = np.sqrt(np.clip(np.nan_to_num(larger, nan=1.0), 1.0, 4.0))
     return Spread(covariance * np.outer(factor, factor), np.maximum(degrees_of_freedom, 1.0))
 
 
 class _Family:
-    """The noises about one, by the logarithms of what was estimated of it.
+    """Noise near an estimate, by the logarithms of its estimated quantities.
 
-    At coordinates of zero it is that one. `fixed`: the variance of a cell is known. Of the
-    coordinates, `variances` says which are variances; the others are times.
+    The estimate has zero coordinates. With `fixed`, the variance of a cell is known. `variances`
+    specifies which coordinates are variances. The others are correlation times.
     """
 
     def __init__(self, noise: ChannelNoise, *, fixed: bool) -> None:
@@ -490,7 +498,7 @@ class _Family:
         if not noise.correlated:
             names = ["white"]
         elif fixed:
-            # With the sum known, there is no room for differences where one part is almost all.
+            # With a known sum, differences are not possible if one part is almost the whole.
             names = ["correlated", "time"] if noise.white**2 > fresh else ["time"]
         else:
             names = ["white"] if noise.white > _AT_ZERO * noise.correlated else []
@@ -499,7 +507,7 @@ class _Family:
         self.variances = np.array([name != "time" for name in names])
 
     def at(self, x: Float[np.ndarray, " coordinate"]) -> ChannelNoise:
-        """The noise at coordinates."""
+        """Return the noise at given coordinates."""
         factors = dict(zip(self._names, np.exp(x), strict=True))
         noise = self._noise
         part = noise.correlated**2 * factors.get("correlated", 1.0)
@@ -514,12 +522,12 @@ class _Family:
 
 
 def _near(noise: ChannelNoise, stated: Stated) -> bool:
-    """Whether the noise of a cell is what was stated of it."""
+    """Return whether the noise of a cell is the specified noise."""
     return stated.deviation is not None and abs(noise.deviation / stated.deviation - 1) < 1e-6
 
 
 def _inverse(information: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
-    """Inverse of an information matrix that differences may have left without a sign."""
+    """Return the inverse of an information matrix from differences, which may be indefinite."""
     sizes = np.sqrt(np.maximum(np.abs(np.diag(information)), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(sizes, sizes))
     return (vectors / np.maximum(values, _LEAST)) @ vectors.T / np.outer(sizes, sizes)
@@ -528,7 +536,11 @@ def _inverse(information: Float[np.ndarray, "c c"]) -> Float[np.ndarray, "c c"]:
 def _differences(
     function: Callable[[np.ndarray], np.ndarray], count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Central differences about zero: first, (coordinate, ...), and second, with one axis more."""
+    """Return central differences about zero.
+
+    Returns:
+        First differences, shape (coordinate, ...), and second differences with an additional axis.
+    """
     steps = _STEP * np.eye(count)
     centre = function(np.zeros(count))
     sides = [(function(step), function(-step)) for step in steps]
@@ -547,16 +559,16 @@ def score_covariance(
     noise: Mapping[str, ChannelNoise],
     covariance: Float[np.ndarray, "parameter parameter"],
 ) -> Float[np.ndarray, "parameter parameter"]:
-    """Covariance of estimates from the scores that the whitened residuals have.
+    """Return the covariance of estimates from the scores of the whitened residuals.
 
-    The sandwich of Newey and West (1987): scores of neighbouring cells of a channel may go
-    together, over about 4 (n / 100)^(2/9) cells. Where it differs much from `covariance`, the
-    noise is not what the model of it says.
+    This is the sandwich estimator of Newey and West (1987). Scores of neighbouring cells of a
+    channel may be correlated over about 4 (n / 100)^(2/9) cells. If the result differs strongly
+    from `covariance`, the noise model is wrong.
 
     Arguments:
-        cells: all parameters as `shared` columns.
-        noise: of each key.
-        covariance: by the noise model.
+        cells: cells with all parameters as `shared` columns.
+        noise: noise of each key.
+        covariance: covariance according to the noise model.
     """
     meat = np.zeros_like(covariance)
     count = 0

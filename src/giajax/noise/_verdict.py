@@ -1,4 +1,4 @@
-"""Whether a fitted model describes its data, by the residuals before they are whitened."""
+"""Tests of whether a fitted model describes its data, from residuals before whitening."""
 
 import dataclasses
 import itertools
@@ -12,27 +12,27 @@ from ..runtime.arrays import Bool, Float
 from ..runtime.records import InfiniteWhereNull
 from ._model import ChannelNoise, by_second_differences, whitened
 
-# Of the cells, for the variance of white noise by their second differences: 18 / 35, because these
-# have the autocorrelations 1, -2/3 and 1/6.
+# Degrees of freedom per cell of a white-noise variance from second differences: 18 / 35, because
+# these have the autocorrelations 1, -2/3 and 1/6.
 DIFFERENCES = 18 / 35
 
-OUTLIER = 3.0  # deviations beyond which a cell is an outlier, for a loss that lets outliers stand
-_SHORT_SERIES = 16  # second differences tell noise from motion where so many of them are there
+OUTLIER = 3.0  # standard deviations beyond which a robust loss treats a cell as an outlier
+_SHORT_SERIES = 16  # minimum number of cells for an estimate from second differences
 
 
 @dataclasses.dataclass(frozen=True)
 class Series:
-    """The residuals of one channel of one run.
+    """Residuals of one channel of one run.
 
     Attributes:
         run: name of the run.
         channel: name of the channel.
-        residual: predicted minus recorded where measured, SI, shape (cell,).
-        times: of these cells, s; None for a run without time.
-        stated: noise that the run states; None where it states none.
-        key: cells of the same key have the same noise.
-        adopted: deviation of the noise that the fit adopted for a cell, SI.
-        lost: degrees of freedom that the fit took from it.
+        residual: predicted minus recorded values where measured, SI units, shape (cell,).
+        times: times of these cells, s, or None for a run without times.
+        stated: noise that the run specifies, or None.
+        key: key of the noise. Cells with the same key have the same noise.
+        adopted: standard deviation of a cell that the fit used, SI units.
+        lost: number of degrees of freedom that the fit used.
     """
 
     run: str
@@ -49,40 +49,40 @@ class Series:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """What the fit has left of its cells."""
+        """Number of degrees of freedom that the fit has left."""
         return max(len(self) - self.lost, 1.0)
 
     @property
     def white(self) -> float:
-        """Deviation of what differs from cell to cell: stated, or more by second differences."""
+        """White noise: the specified standard deviation, or the one from differences if larger."""
         stated = 0.0 if self.stated is None else self.stated.deviation
         return max(stated, self.from_differences)
 
     @property
     def white_degrees_of_freedom(self) -> float:
-        """Degrees of freedom of `white`; infinite where it is stated."""
+        """Degrees of freedom of `white`, infinite if it is specified."""
         known = self.stated is not None and self.stated.deviation >= self.from_differences
         return np.inf if known else DIFFERENCES * len(self)
 
     @property
     def from_differences(self) -> float:
-        """Deviation of white noise by the second differences of the residuals.
+        """Standard deviation of white noise from the second differences of the residuals.
 
-        Their mean square is 6 times its variance (`giajax.noise.from_differences`), and knows it
-        as well as `DIFFERENCES` times as many independent cells would.
+        Their mean square is 6 times its variance (`giajax.noise.from_differences`). Its accuracy is
+        that of `DIFFERENCES` times as many independent cells.
         """
         if len(self) < _SHORT_SERIES:
             return self.adopted
-        # Residuals without any difference are those of a perfect description.
+        # Residuals without any difference belong to a perfect description.
         return float(np.sqrt(np.mean(np.diff(self.residual, 2) ** 2) / 6)) or self.adopted
 
     def where(self, kept: Bool[np.ndarray, " cell"]) -> Self:
-        """Some of the cells."""
+        """Return some of the cells."""
         times = None if self.times is None else self.times[kept]
         return dataclasses.replace(self, residual=self.residual[kept], times=times)
 
     def known_memory_removed(self) -> Self:
-        """The residuals made independent by the correlation that the run states, if it does."""
+        """Return the residuals, whitened with the correlation that the run specifies, if any."""
         if self.stated is None or self.stated.is_white:
             return self
         white = whitened(self.stated, self.times, self.residual[:, None])[:, 0]
@@ -95,20 +95,19 @@ VerdictStatus = Literal["adequate", "doubtful", "inadequate", "not evaluated"]
 
 @dataclasses.dataclass(frozen=True)
 class Reason:
-    """One way in which residuals are not what the noise alone would leave.
+    """A reason why residuals are not consistent with noise alone.
 
     Attributes:
-        code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "too_small" of
-            residuals far below the stated noise, "outliers" where a few cells make that which was
-            adopted, "suspect" of what the fit held or left out,
-            "prior" of what is far from what is usual, "vanished" of what should not be 0 and is,
-            "unexplained" where no suspect explains it, "end" of a fit that has no optimum, "cells"
-            of too few.
-        sentence: what is seen, and where.
-        p_value: chance of as much from the noise alone, corrected for how often was looked.
-        size: how many times the noise the residuals are for this reason, infinite where the model
-            cannot be evaluated; of a suspect, standard errors by which it moves a parameter.
-        channels: where it is seen most, by name.
+        code: "noise", "correlation", "differences", "drift", "runs" or "prediction"; "too_small",
+            residuals far below the specified noise; "outliers", a few cells dominate the noise of
+            the fit; "suspect", an effect that the fit held or omitted; "prior", a value far from
+            its usual value; "vanished", a value that is 0 but should not be; "unexplained", no
+            suspect explains the residuals; "end", a fit without an optimum; "cells", too few cells.
+        sentence: what was found, and where.
+        p_value: probability of such a result due to noise alone, corrected for the number of tests.
+        size: factor by which the residuals exceed the noise for this reason, infinite if the model
+            cannot be evaluated. For a suspect, the shift of a parameter in its standard errors.
+        channels: names of the channels concerned most.
     """
 
     code: str
@@ -120,13 +119,13 @@ class Reason:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """Whether the model describes the data; apart from whether the fit converged.
+    """Whether the model describes the data, independent of the convergence of the fit.
 
     Attributes:
-        status: "adequate"; "inadequate", where the residuals are not what the noise would leave;
-            "doubtful", where they are, but something that was held or left out is significant and
-            moves a parameter, or the fit has no optimum; "not evaluated" of too few cells.
-        reasons: why it is not adequate, the surest first.
+        status: "adequate"; "inadequate", the residuals are not consistent with noise; "doubtful",
+            they are, but a held or omitted effect is significant and changes a parameter, or the
+            fit has no optimum; "not evaluated", too few cells.
+        reasons: reasons why the model is not adequate, the most certain first.
     """
 
     status: VerdictStatus
@@ -134,86 +133,90 @@ class Verdict:
 
     @classmethod
     def inadequate(cls, reasons: Iterable[Reason]) -> Self:
-        """That for some reasons."""
+        """Return the verdict "inadequate" with these reasons."""
         surest = sorted(reasons, key=lambda reason: (reason.p_value, -reason.size))
         return cls("inadequate", tuple(surest))
 
     def with_reason(self, reason: Reason) -> Self:
-        """With one more reason; what was not evaluated for want of cells is inadequate by it."""
+        """Return the verdict with an additional reason, which makes it inadequate."""
         others = self.reasons if self.status != "not evaluated" else ()
         return self.inadequate((*others, reason))
 
     def doubted(self, reason: Reason) -> Self:
-        """With a reason that residuals do not show: an adequate model is doubtful by it."""
+        """Return the verdict with a reason that makes an adequate model doubtful.
+
+        Such a reason is not visible in the residuals.
+        """
         status: VerdictStatus = "inadequate" if self.status == "inadequate" else "doubtful"
         others = self.reasons if self.status != "not evaluated" else ()
         reasons = sorted((*others, reason), key=lambda each: each.p_value)
         return dataclasses.replace(self, status=status, reasons=tuple(reasons))
 
     def without(self, code: str) -> Self:
-        """Without the reasons of a code that made an adequate model doubtful."""
+        """Return the verdict without the reasons of a code that made an adequate model doubtful."""
         reasons = tuple(reason for reason in self.reasons if reason.code != code)
         status = self.status if reasons or self.status != "doubtful" else "adequate"
         return dataclasses.replace(self, status=status, reasons=reasons)
 
     @property
     def sentence(self) -> str:
-        """Status and reasons in a line."""
+        """Status and reasons in one line."""
         if not self.reasons:
             return self.status
         return f"{self.status}: {'; '.join(reason.sentence for reason in self.reasons)}"
 
     @classmethod
     def missing(cls) -> Self:
-        """That of a result which was written without one."""
+        """Return the verdict of a result that was stored without one."""
         return cls("not evaluated")
 
 
-# Tests of residuals against what noise alone would leave; each may give a reason.
+# Tests of residuals against noise alone. Each may give a reason.
 #
-# A reason needs significance and size: with many cells everything is significant, and with few a
-# large misfit may be chance. Each function looks at several things and corrects for how many
-# (Bonferroni), so that noise alone gives a reason with the chance `LEVEL` at most.
+# A reason requires both significance and size: with many cells everything is significant, and with
+# few cells a large misfit may be due to chance. Each function makes several tests and corrects for
+# their number (Bonferroni), so noise alone gives a reason with a probability of at most `LEVEL`.
 
-# These five tests and that of what was held out (`giajax.fitting`) together have a chance of 1.2 %
-# to accuse an adequate model, what it holds or leaves out (`giajax.suspects`) one of 0.6 %,
-# and what is always uncertain, by its priors, one of 0.2 %.
+# The probability of rejecting an adequate model is 1.2 % for these five tests and the test of
+# held-out data (`giajax.fitting`) together, 0.6 % for held and omitted effects (`giajax.suspects`),
+# and 0.2 % for nuisance parameters, by their priors.
 LEVEL = 0.012 / 6
 SUSPECT_LEVEL = 0.006
 PRIOR_LEVEL = 0.002
 
-SIZE = 1.1  # noise up by a tenth is worth a word
+SIZE = 1.1  # a noise that is larger by a tenth is reported
 
-# Lengths of the blocks whose means are compared with those of white noise, in cells.
+# Lengths in cells of the blocks whose means are compared with those of white noise.
 _BLOCKS = (2, 4, 8, 16, 32)
 
-_FEWEST_BLOCKS = 4  # blocks, at least, for a statement on them
-_FEWEST_VALUES = 32  # cells of a series, at least, for a statement on it alone
+_FEWEST_BLOCKS = 4  # minimum number of blocks for a test
+_FEWEST_VALUES = 32  # minimum number of cells of a series for a separate test
 
 
-_FAR_BELOW = 3.0  # times smaller than the stated noise: that of a data sheet is often cautious
+_FAR_BELOW = 3.0  # factor below the specified noise, because data sheets are often conservative
 
 
 def beyond_stated(series: Sequence[Series]) -> Reason | None:
-    """Residuals larger than the noise that is stated."""
+    """Test whether the residuals exceed the specified noise."""
     return _against_stated(series, below=False)
 
 
 def below_stated(series: Sequence[Series]) -> Reason | None:
-    """Residuals far smaller than the noise that is stated: that, or a unit, is wrong."""
+    """Test whether the residuals are far below the specified noise: noise or unit is wrong."""
     return _against_stated(series, below=True)
 
 
-_HEAVY = 3.0  # times; noise with tails as wide as those of Student's t with 3 degrees has 1.7
-# Deviations of a second difference, and of how many at most: a glitch makes three of them.
+_HEAVY = 3.0  # ratio of standard deviations; Student's t with 3 degrees of freedom has 1.7
+# Standard deviations of a second difference that is a glitch, and the largest fraction of such
+# differences. A glitch causes three of them.
 _GLITCH, _FEW_CELLS = 6.0, 0.2
 
 
 def _usual_differences(values: Float[np.ndarray, " sample"]) -> tuple[float, float] | None:
-    """Deviation of white noise by second differences: of most, and of all of them.
+    """Return the white noise from second differences: of most of them, and of all.
 
-    They differ where a few cells are glitches, and not where many have larger noise, or only every
-    other one has any, because it was resampled: both are then that of all.
+    The values differ if a few cells are glitches. They are equal (the value of all) if many cells
+    have larger noise, or if only every other cell has noise because of resampling.
     """
     usual, second = by_second_differences(values), np.diff(values, 2)
     if not usual:
@@ -224,7 +227,7 @@ def _usual_differences(values: Float[np.ndarray, " sample"]) -> tuple[float, flo
 
 
 def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
-    """Adopted noise that a few cells make, where none is stated: outliers that count in full."""
+    """Test whether a few outliers dominate the noise of the fit, if none is specified."""
     unknown = [each for each in series if each.stated is None and len(each) >= _FEWEST_VALUES]
 
     def looked_at() -> Iterator[Reason]:
@@ -246,11 +249,11 @@ def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
 def white_deviation(
     rest: Float[np.ndarray, " sample"], stated: float | None, adopted: float, *, in_time: bool
 ) -> float:
-    """Deviation of white noise of a channel, which no wrong model makes larger.
+    """Return the standard deviation of white noise of a channel, which no wrong model increases.
 
-    It is what the run states; else what the fit adopted, or, where that is larger by more than
-    chance, that of second differences of the residuals `rest`, in which what is smooth leaves
-    nothing, without the few cells that are outliers. NaN is not measured.
+    It is the specified noise, otherwise the noise of the fit. If the latter significantly exceeds
+    the noise from second differences of the residuals `rest`, it is the noise from differences.
+    These do not contain smooth errors, and the few outliers are omitted. NaN is not measured.
     """
     if stated or not in_time:
         return stated or adopted
@@ -264,7 +267,7 @@ def white_deviation(
 
 
 def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
-    """One side of the noise that is stated; both have the chance of one test."""
+    """Test one side of the specified noise. Both sides share the probability of one test."""
     known = [(each, each.stated.deviation) for each in series if each.stated is not None]
     groups = alone_and_together([each for each, _ in known])
 
@@ -281,8 +284,8 @@ def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
                 yield Reason("noise", sentence, p, size, names)
             elif 0 < size < 1 / _FAR_BELOW:
                 sentence = (
-                    f"the residuals are {1 / size:.3g} times smaller than the stated noise{where}, "
-                    "so the stated noise or the unit of a column is wrong"
+                    f"the stated noise is {1 / size:.3g} times the residuals{where}, so the stated "
+                    "noise or the unit of a column is wrong"
                 )
                 p = float(chdtr(degrees_of_freedom, total))
                 yield Reason("too_small", sentence, p, 1 / size, names)
@@ -291,10 +294,10 @@ def _against_stated(series: Sequence[Series], *, below: bool) -> Reason | None:
 
 
 def correlated(series: Sequence[Series]) -> Reason | None:
-    """Means of blocks of cells against those of white noise.
+    """Test whether means of blocks of cells vary more than those of white noise.
 
-    The mean of L cells of white noise has a variance of one L-th of a cell's; where residuals go
-    together it has more. A fit takes slow parts out of them, which only lowers the statistic.
+    The mean of L cells of white noise has 1 / L of the variance of a cell, and correlated residuals
+    have more. A fit removes slow parts from the residuals, which can only lower the statistic.
     """
     usable = [each for each in series if len(each) >= _FEWEST_VALUES]
     groups = alone_and_together(usable)
@@ -308,14 +311,15 @@ def correlated(series: Sequence[Series]) -> Reason | None:
                 continue
             squares = float(np.sum(means**2))
             p = tail(count, _together(chosen), squares * length / count)
-            # What the blocks have beyond white noise, for each cell, in units of its variance.
+            # Excess variance of the blocks over white noise, per cell, relative to the white
+            # variance.
             share = max(squares / count - 1 / length, 0.0) / (1 - 1 / length)
             size = float(np.sqrt(1 + share))
             where = "" if names == groups[0] else f" of {', '.join(names)}"
             sentence = (
-                f"the residuals{where} are correlated, because of noise or missing physics: with "
-                f"the correlation they are {size:.3g} times the difference between neighbouring "
-                "cells"
+                f"the residuals{where} are correlated, because the noise is correlated or the "
+                "model omits an effect: the correlated part increases their standard deviation by "
+                f"a factor of {size:.3g}"
             )
             yield Reason("correlation", sentence, p, size, names)
 
@@ -323,9 +327,10 @@ def correlated(series: Sequence[Series]) -> Reason | None:
 
 
 def beyond_differences(series: Sequence[Series]) -> Reason | None:
-    """Adopted noise against that of second differences, where none is stated.
+    """Compare the noise of the fit with that of second differences, if none is specified.
 
-    Noise that is estimated from residuals hides any wrong model: chi-square is 1 by construction.
+    Noise that is estimated from residuals hides any wrong model, because chi-square is then 1 by
+    construction.
     """
     unknown = [each for each in series if each.stated is None and len(each) >= _FEWEST_VALUES]
     channels = sorted({each.channel for each in unknown})
@@ -333,7 +338,7 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
     def looked_at() -> Iterator[Reason]:
         for name in channels:
             chosen = [each for each in unknown if each.channel == name]
-            # Each over its own: runs may differ in length and in noise.
+            # Each is divided by its own noise, because runs may differ in length and in noise.
             total = sum(float(np.sum((e.residual / e.from_differences) ** 2)) for e in chosen)
             degrees_of_freedom = sum(each.degrees_of_freedom for each in chosen)
             size = float(np.sqrt(total / degrees_of_freedom))
@@ -348,7 +353,7 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
 
 
 def drift(series: Sequence[Series]) -> Reason | None:
-    """A trend of residuals over the run."""
+    """Test for a trend of the residuals over the run."""
     usable = [(e, e.times) for e in series if e.times is not None and len(e) >= _FEWEST_VALUES]
 
     def looked_at() -> Iterator[Reason]:
@@ -369,7 +374,7 @@ def drift(series: Sequence[Series]) -> Reason | None:
 
 
 def runs_disagree(series: Sequence[Series]) -> Reason | None:
-    """Residuals of one run against those of the same channel in the others."""
+    """Compare the residuals of a channel in one run with those in the other runs."""
     by_key: dict[str, list[Series]] = {}
     for each in series:
         if len(each) >= _FEWEST_VALUES:
@@ -396,7 +401,7 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
 
 
 def largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
-    """The largest of what is seen that is sure and large enough, for so many looks."""
+    """Return the largest reason that is significant, after correction for the number of tests."""
     corrected = (
         dataclasses.replace(each, p_value=min(looks * each.p_value, 1.0)) for each in looked_at
     )
@@ -405,31 +410,31 @@ def largest(looked_at: Iterable[Reason], looks: int) -> Reason | None:
 
 
 def alone_and_together(series: Sequence[Series]) -> list[tuple[str, ...]]:
-    """All channels of some series, and each of several by itself."""
+    """Return all channels of some series as one group, and each of several channels alone."""
     channels = sorted({each.channel for each in series})
     alone: list[tuple[str, ...]] = [(name,) for name in channels]
     return [tuple(channels), *alone] if len(alone) > 1 else alone
 
 
 def _together(series: Sequence[Series]) -> float:
-    """Degrees of freedom of the white noise of several series."""
+    """Return the degrees of freedom of the white noise of several series."""
     return satterthwaite([*map(len, series)], [each.white_degrees_of_freedom for each in series])
 
 
 def satterthwaite(counts: Sequence[int], each_known_with: Sequence[float]) -> float:
-    """Degrees of freedom of the mean of several variances, each known by its own."""
+    """Return the degrees of freedom of the mean of several variances."""
     sizes = np.array(counts, dtype=float)
     below = float(np.sum(sizes**2 / np.array(each_known_with)))
     return float(np.sum(sizes)) ** 2 / below if below else np.inf
 
 
 def beyond_mixture(weights: np.ndarray, value: float) -> float:
-    """Chance that a sum of independent chi-squares (1) with these weights exceeds a value.
+    """Return the probability that a weighted sum of chi-squares (1) exceeds a value.
 
-    By the saddlepoint of its distribution (Kuonen 1999), to a few hundredths of itself, however
-    small it is.
+    It is computed by the saddlepoint approximation (Kuonen 1999), with a relative error of a few
+    hundredths even for small probabilities.
     """
-    from scipy.optimize import brentq  # slow to import, and only a model that is wrong asks this
+    from scipy.optimize import brentq  # slow to import, and only needed for a wrong model
 
     largest = float(np.max(weights, initial=0.0))
     if largest <= 0 or value <= 0:
@@ -441,7 +446,7 @@ def beyond_mixture(weights: np.ndarray, value: float) -> float:
         return float(np.sum(scaled / (1 - 2 * scaled * turn))) - ratio
 
     if abs(slope(0.0)) < 1e-3 * float(np.sum(scaled)):
-        return 0.5  # at its mean, where it is about that and the formula has a pole
+        return 0.5  # at the mean, where the formula has a pole
     if slope(0.5 - 1e-14) < 0:
         return 0.0
     at = float(brentq(slope, -(len(scaled) + 1) / min(ratio, 1.0), 0.5 - 1e-14))
@@ -452,14 +457,14 @@ def beyond_mixture(weights: np.ndarray, value: float) -> float:
 
 
 def tail(above: float, below: float, ratio: float) -> float:
-    """Chance of a larger ratio of two variances of these degrees of freedom."""
+    """Return the probability of a larger ratio of two variances with these degrees of freedom."""
     if np.isinf(below):
         return float(chdtrc(above, above * ratio))
     return float(fdtrc(above, below, ratio))
 
 
 def _block_means(series: Series, length: int) -> np.ndarray:
-    """Means of consecutive cells over the white noise of a cell."""
+    """Return the means of consecutive cells, divided by the white noise of a cell."""
     count = len(series) // length
     cells = series.residual[: count * length].reshape(count, length)
     return np.mean(cells, axis=1) / series.white
@@ -467,21 +472,21 @@ def _block_means(series: Series, length: int) -> np.ndarray:
 
 _TESTS = (beyond_stated, correlated, beyond_differences, drift, runs_disagree)
 
-_FEWEST_RESIDUALS = 10  # degrees of freedom below which nothing is said of a model
+_FEWEST_RESIDUALS = 10  # minimum number of degrees of freedom for a verdict
 
 
 def judge(series: Sequence[Series], *, robust: bool) -> Verdict:
-    """Whether residuals are what noise alone would leave.
+    """Judge whether the residuals are consistent with noise alone.
 
     Arguments:
-        series: of all channels of all runs, before they are whitened.
-        robust: whether the loss of the fit lets outliers stand; they are then left out.
+        series: residuals of all channels of all runs before whitening.
+        robust: whether the loss of the fit is robust. Outliers are then omitted.
 
     Returns:
-        "adequate" where no test finds a reason against it; at most 2 % of adequate models whose
-        noise is white, or has the correlation that is stated, are called inadequate. "doubtful"
-        where residuals are far smaller than the stated noise, or a few cells make that which was
-        adopted.
+        The verdict. It is "adequate" if no test finds a reason against the model. At most 2 % of
+        adequate models are called inadequate, if their noise is white or has the specified
+        correlation. It is "doubtful" if the residuals are far below the specified noise, or if a
+        few cells dominate the noise of the fit.
     """
     if robust:
         series = [each.where(np.abs(each.residual) <= OUTLIER * each.adopted) for each in series]

@@ -1,4 +1,4 @@
-"""Recorded runs: reading, checking, describing and writing them. Imports no JAX."""
+"""Read, check, describe and write recorded runs. Does not import JAX."""
 
 from ._channels import (
     Channel as Channel,

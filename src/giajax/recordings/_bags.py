@@ -1,8 +1,8 @@
-"""Bags of ROS 2, as folders or MCAP files: joints, poses and inertial sensors by their topics.
+"""Read joints, poses and inertial sensors from ROS 2 bags, which are folders or MCAP files.
 
-The files are read here and not by rosbags, which unpacks what they hold however much it is, and
-runs code that it makes of the definitions in them. Of rosbags are the definitions of the messages,
-and how a message is read.
+The files are read here and not by rosbags, because rosbags decompresses data without a size limit
+and executes code that it generates from the message definitions in the file. Only the standard
+message definitions and the deserialisation of messages come from rosbags.
 """
 
 import contextlib
@@ -40,13 +40,13 @@ from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, plac
 
 _SUFFIXES = (".mcap", ".db3")
 _NS = 10**9
-_SINCE_1970 = 10**8 * _NS  # what a clock shows, but no simulation, which may begin at 0
-_MOMENTS = 2**63  # of clocks, ns: what a bag has is less
+_SINCE_1970 = 10**8 * _NS  # separates wall-clock stamps from simulated time, which may start at 0
+_MOMENTS = 2**63  # upper limit of time stamps, ns
 _Moments = npt.NDArray[np.int64]
 
 
 class _Cell(NamedTuple):
-    """One number of a message: of which thing, its label and quantity, and the value, SI."""
+    """One number of a message: its thing, label and quantity, and its value in SI."""
 
     thing: str
     label: str
@@ -55,7 +55,7 @@ class _Cell(NamedTuple):
 
 
 def _joints(topic: str, message: Any) -> Iterator[_Cell]:
-    """`sensor_msgs/JointState`, whose three lists may each be empty."""
+    """Yield the numbers of a `sensor_msgs/JointState`, whose three lists may each be empty."""
     for label, quantity, ending in (
         ("position", "angle", ""),
         ("velocity", "angular_velocity", ""),
@@ -82,7 +82,7 @@ def _poses(topic: str, message: Any) -> Iterator[_Cell]:
 
 
 def _inertial(topic: str, message: Any) -> Iterator[_Cell]:
-    """`sensor_msgs/Imu`: a covariance that begins with -1 says that there is no such sensor."""
+    """Yield the numbers of a `sensor_msgs/Imu`; a covariance starting with -1 means no sensor."""
     for vector, covariance, quantity in (
         (message.angular_velocity, message.angular_velocity_covariance, "angular_velocity"),
         (message.linear_acceleration, message.linear_acceleration_covariance, "acceleration"),
@@ -101,21 +101,22 @@ _MESSAGES: Mapping[str, Callable[[str, Any], Iterator[_Cell]]] = {
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is that of a folder or file as ROS 2 records it."""
+    """Return whether a path is a folder or has the suffix of a file that ROS 2 records."""
     return path.is_dir() or path.suffix.lower() in _SUFFIXES
 
 
 def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
-    """Read joints, poses and inertial sensors of a bag; times count from its first message.
+    """Read joints, poses and inertial sensors of a bag; times are relative to the first message.
 
-    A thing is called by its topic, `/imu`, a joint `/joint_states/shoulder`, and the first pose of
-    an array `/markers/0`. Times of a topic are those of its headers, where they have any, else of
-    the bag.
+    Things are named after their topics: `/imu`, a joint `/joint_states/shoulder`, and the first
+    pose of an array `/markers/0`. The times of a topic are the time stamps in its message headers
+    or, if these have none, the times at which the bag received the messages.
 
     Raises:
-        InputError: it is not a bag, or has none of these messages, or `rosbags` is not installed;
-            or messages of a thing that is not ignored have no stamps, equal ones, or another
-            clock; or it is damaged, or has or unpacks to more than the limits.
+        InputError: the path is not a bag, the bag has no messages of the known types, or `rosbags`
+            is not installed; time stamps of a topic that is not ignored are missing, repeated or
+            from another clock; or the bag is damaged, or exceeds the limits before or after
+            decompression.
     """
     check_path(path)
     try:
@@ -126,7 +127,7 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
         ) from None
     if how.frame_rate is not None:
         raise InputError(f"{path}: a bag contains its own time stamps: omit --frame-rate")
-    ignored = ImportSettings(ignore=how.ignore)  # what is not read may have any clock
+    ignored = ImportSettings(ignore=how.ignore)  # ignored topics may use any clock
     found = _Found(path, get_typestore(Stores.LATEST), ignored)
     with contextlib.closing(_messages(path, found.topics)) as messages:
         for each in messages:
@@ -140,8 +141,8 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     if len(kept) * len(moments) > BAG_NUMBERS:
         raise InputError(
             f"{path} gives a table of {len(kept):,} columns and {len(moments):,} rows, but the "
-            f"table may have "
-            f"{BAG_NUMBERS:,} numbers at most: exclude topics with --ignore, or split the bag"
+            f"table may have {BAG_NUMBERS:,} numbers at most: exclude topics with --ignore, or "
+            "split the bag"
         )
     nothing: Numbers = np.broadcast_to(np.nan, len(moments))
     things: dict[str, list[ForeignColumn]] = {}
@@ -165,11 +166,11 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
         metres = [column.values for column in things[thing]]
         things[thing] = placed(metres, how.axes or "xyz", f"{path}: {thing}")
     how.check_used(path, "ROS 2", *(["axes"] if lengths else []))
-    return ForeignTable("a bag of ROS 2", (moments - moments[:1]) / _NS, things, merged=True)
+    return ForeignTable("a ROS 2 bag", (moments - moments[:1]) / _NS, things, merged=True)
 
 
 def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
-    """Times of the messages of topics, ns, of the stamp and the reception of each, in turns."""
+    """Return the message times of each topic, ns; `clocks` alternates stamps and receipt times."""
     stamps: dict[str, _Moments] = {}
     received: list[int] = []
     for topic, clock in clocks.items():
@@ -199,11 +200,11 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
     return stamps
 
 
-# The messages of a bag, and what is in them.
+# The messages of a bag and their contents.
 
 
 class _Topic(NamedTuple):
-    """A topic, the kind of its messages, and the definition of that, if the bag has one."""
+    """A topic, the type of its messages, and the definition of this type if the bag has it."""
 
     name: str
     kind: str
@@ -212,34 +213,34 @@ class _Topic(NamedTuple):
 
 
 def _said_of(topics: Collection[_Topic]) -> str:
-    """What a bag has in which there is no number."""
+    """Describe the topics of a bag that contains no usable numbers."""
     known = [each for each in topics if each.kind in _MESSAGES]
     ros_1 = [each for each in topics if each.form == "ros1"]
     listed = some([f"{each.name} ({each.kind})" for each in known or ros_1 or topics])
     if known:
         return (
-            f"has no messages, or only empty messages, of the topics {listed}: record these "
-            f"topics again"
+            f"has no messages, or only empty messages, on the topics {listed}: record these "
+            "topics again"
         )
     if ros_1:
-        return f"has ROS 1 messages, {listed}: convert the .bag file with rosbags-convert"
+        return f"has ROS 1 messages ({listed}): convert the .bag file with rosbags-convert"
     return (
-        f"has no message of the types {', '.join(_MESSAGES)}, but {listed or 'none'}: give "
-        f"another bag"
+        f"has no messages of the types {', '.join(_MESSAGES)} (its topics: {listed or 'none'}): "
+        "give another bag"
     )
 
 
 @dataclass
 class _Found:
-    """What was found in the messages of a bag so far.
+    """The numbers found in the messages of a bag so far.
 
     Attributes:
-        how: what is ignored.
-        topics: all, also those of other kinds of messages.
-        read: topics of messages, and whether these are read, or the topic is ignored whole.
-        clocks: by topic, kind, and the stamp and the reception of each message, ns, in turns.
-        series: by topic, thing, label and quantity: the number of the message, and the value.
-        ignored: thing, label and quantity of the series of topics that are ignored whole.
+        how: settings that specify what is ignored.
+        topics: all topics, including those with other message types.
+        read: topic -> True if its messages are read, False if the whole topic is ignored.
+        clocks: topic -> message type, and alternately time stamps and receipt times, ns.
+        series: (topic, thing, label, quantity) -> message numbers and values.
+        ignored: (thing, label, quantity) of the series of topics that are ignored as a whole.
     """
 
     path: Path
@@ -254,7 +255,7 @@ class _Found:
     numbers_ignored: int = 0
 
     def add(self, topic: _Topic, received: Any, data: bytes) -> None:
-        """A message, of which nothing but the names matters where its topic is ignored whole."""
+        """Add a message; if its topic is ignored as a whole, only the names in it are used."""
         what = f"a message of {topic.name} in {self.path}"
         if topic not in self.read:
             below = ImportSettings(ignore=[each for each in self.how.ignore if each[-1:] == "*"])
@@ -269,7 +270,7 @@ class _Found:
                 f"{what} has the receipt time {shown(received)}: this time must be in ns since "
                 f"1970, so correct it"
             )
-        self._count(2)  # when it was stamped and received, of which empty messages consist
+        self._count(2)  # the stamp and the receipt time, so that empty messages count, too
         message = self._message(topic, data, what)
         stamp = message.header.stamp
         _, clock = self.clocks[topic.name]
@@ -302,7 +303,7 @@ class _Found:
                         self.ignored[cell[:3]] = None
 
     def _check(self, topic: _Topic) -> None:
-        """Refuse a topic whose messages are not read as its bag says that they are."""
+        """Refuse a topic whose encoding, type or definition is not as expected."""
         what = f"{self.path}: messages of {topic.name}"
         if topic.form != "cdr":
             raise InputError(
@@ -315,12 +316,12 @@ class _Found:
                 f"{what} are of two types, {kind} and {topic.kind}: record each type in its own "
                 f"topic"
             )
-        self._count(len(topic.definition))  # a letter takes as long as a number
+        self._count(len(topic.definition))  # a character takes as long to process as a number
         known = dict(_fields(kind, self.store.generate_msgdef(kind, ros_version=2)[0]))
         for part, fields in _fields(kind, topic.definition):
             if fields and fields != known.get(part, fields):
                 raise InputError(
-                    f"{what} have a {part} that differs from that of ROS 2, "
+                    f"{what} have a {part} that differs from the ROS 2 definition, "
                     f"{shown(', '.join(known[part]))}: record them with the ROS 2 definition"
                 )
 
@@ -340,18 +341,18 @@ class _Found:
 
 
 def _check_name(path: Path, name: str, before: int, what: str) -> None:
-    """Refuse a name that cannot be shown, or that is one more than there may be."""
+    """Refuse a name that cannot be printed, and any name once there are too many."""
     if len(name) > CELL_BYTES or not name.isprintable():
         raise InputError(
             f"{path}: {shown(name)} is not a valid name: it may have at most {CELL_BYTES:,} "
-            f"characters"
+            "printable characters"
         )
     if before >= COLUMNS:
         raise InputError(f"{path} has more than {COLUMNS:,} {what}: record fewer topics")
 
 
 def _fields(kind: str, definition: str) -> Iterator[tuple[str, list[str]]]:
-    """Messages of a definition, and types and names of the fields of each."""
+    """Yield each message type of a definition with the types and names of its fields."""
     for section in re.split(r"^=+$", definition, flags=re.MULTILINE):
         lines = [line.partition("#")[0].split() for line in section.splitlines()]
         lines = [line for line in lines if line]
@@ -363,13 +364,13 @@ def _fields(kind: str, definition: str) -> Iterator[tuple[str, list[str]]]:
 
 # Files of a bag.
 
-_ZSTD = b"\x28\xb5\x2f\xfd"  # what is packed so begins with, and no message
+_ZSTD = b"\x28\xb5\x2f\xfd"  # start of zstd-compressed data; no message starts with these bytes
 _PACKED = {"lz4": ["lz4.frame"], "zstd": ["compression.zstd", "backports.zstd", "zstandard"]}
 _Messages = Generator[tuple[_Topic, Any, bytes], None, None]
 
 
 def _messages(path: Path, topics: dict[_Topic, None]) -> _Messages:
-    """Messages of known kinds: topic, time of reception (ns) and data; all topics become known."""
+    """Yield topic, receipt time (ns) and data of messages of known types; record all topics."""
     for part in _files(path) if path.is_dir() else [path]:
         with _reading(part), contextlib.ExitStack() as stack:
             file = stack.enter_context(opened(part))
@@ -388,7 +389,7 @@ def _messages(path: Path, topics: dict[_Topic, None]) -> _Messages:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """A file that is read: what goes wrong is one sentence."""
+    """Turn any error that occurs while a file is read into an error of one sentence."""
     try:
         with tried(f"reading {path}"):
             yield
@@ -415,15 +416,16 @@ _LISTED = re.compile(r"^ *relative_file_paths: *\n((?: *- .*(?:\n|\Z))+)", re.MU
 
 
 def _files(folder: Path) -> list[Path]:
-    """The files of a bag in their order, which its `metadata.yaml` lists as ROS writes it.
+    """Return the files of a bag in order, as listed in the `metadata.yaml` that ROS writes.
 
-    Nothing else of it is needed, and no reader of YAML, to which a short text can be a long one.
+    No other key of this file is needed. A YAML reader is not used, because with it a short text can
+    expand to a very long one.
     """
     path = folder / "metadata.yaml"
     text = read_text(path, TEXT_BYTES, "YAML", "the folder of a bag, or a file in it")
     listed = _LISTED.findall(text.replace("\r\n", "\n"))
     lines = listed[0].splitlines() if len(listed) == 1 else []
-    # Earlier versions have the folder before the name, which it may have no more.
+    # Earlier versions write the folder in front of the name, but the folder may have been renamed.
     names = [PurePath(line.partition("- ")[2].strip().strip("'\"")).name for line in lines]
     if not names or not all(name.removesuffix(".zstd").endswith(_SUFFIXES) for name in names):
         raise InputError(
@@ -435,14 +437,14 @@ def _files(folder: Path) -> list[Path]:
 
 
 class _Unpacking:
-    """Unpacks what is packed in a file, of which there may be so much more than it has bytes."""
+    """Decompress the data of a file, within limits on the size of the result."""
 
     def __init__(self, path: Path, size: int) -> None:
         self._path, self.size = path, size
         self._left = UNPACKED_TIMES * size + UNPACKED_BYTES
 
     def unpacked(self, data: bytes, form: str, size: int | None = None) -> bytes:
-        """The data, which must have the size that is said of them."""
+        """Return the decompressed data, which must have the given size, if any."""
         if not form:
             return data
         most = min(self._left, CHUNK_BYTES)
@@ -451,15 +453,15 @@ class _Unpacking:
                 found = file.read((most if size is None else size) + 1)
             if size is not None and len(found) != size:
                 raise InputError(
-                    f"{self._path} has a chunk whose size is not the stated {size:,} bytes: copy "
-                    f"the file again"
+                    f"{self._path} has a chunk whose size differs from the specified {size:,} "
+                    "bytes: copy the file again"
                 )
             size = len(found)
         self._take(size, most)
         return found
 
     def to_file(self, packed: BinaryIO, path: Path) -> None:
-        """A whole file that is packed."""
+        """Decompress a whole file into another file."""
         with path.open("xb") as out, self._opened(packed, "zstd") as file:
             while block := file.read(1 << 20):
                 self._take(len(block), self._left)
@@ -471,8 +473,7 @@ class _Unpacking:
         if size > most or self._left < 0:
             raise InputError(
                 f"{self._path} decompresses to more than {UNPACKED_TIMES} times its size, or has "
-                f"chunks of"
-                f" more than {CHUNK_BYTES:,} bytes: record it without compression"
+                f"chunks of more than {CHUNK_BYTES:,} bytes: record it without compression"
             )
 
     def _opened(self, file: BinaryIO, form: str) -> Any:
@@ -485,18 +486,18 @@ class _Unpacking:
         )
 
 
-# MCAP: https://mcap.dev/spec. Records are read one after the other, and what a summary says of
-# where they are is not.
+# MCAP: https://mcap.dev/spec. Records are read in sequence; the positions that a summary gives are
+# not used.
 
-_Records = Iterator[tuple[int, io.BytesIO]]  # their codes and contents
+_Records = Iterator[tuple[int, io.BytesIO]]  # operation codes and contents of records
 _MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0B, 0x0F
 _READ = (_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END)
 
 
 def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Messages:
-    """The messages of an MCAP file."""
-    schemas = {0: ("", "")}  # number -> kind, and its definition
+    """Yield the messages of an MCAP file."""
+    schemas = {0: ("", "")}  # number -> message type and its definition
     channels: dict[int, _Topic] = {}
     count = 0
     with opened(path) as file:
@@ -511,7 +512,8 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
         for code, record in _unchunked(path, file, end, unpacking):
             if code == _STATISTICS and (said := _number(record, 8)) != count:
                 raise InputError(
-                    f"{path} has {count:,} messages, but states that it has {said:,}: copy it again"
+                    f"{path} has {count:,} messages, but its statistics give {said:,}: copy it "
+                    "again"
                 )
             number = _number(record, 2)
             if code == _SCHEMA:
@@ -520,24 +522,24 @@ def _mcap(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Mes
             elif code == _CHANNEL:
                 kind, definition = schemas[_number(record, 2)]
                 topic = _Topic(_text(record), kind, _text(record), definition)
-                if channels.setdefault(number, topic) != topic:  # after the data all are repeated
+                if channels.setdefault(number, topic) != topic:  # the summary repeats all channels
                     raise InputError(f"{path} uses channel {number} for two topics: copy it again")
                 _know(path, topic, topics)
             elif code == _MESSAGE:
                 count += 1
                 topic = channels[number]
                 if topic.kind in _MESSAGES:
-                    _number(record, 4)  # of the message in its topic
+                    _number(record, 4)  # sequence number of the message
                     received, _ = _number(record, 8), _number(record, 8)
                     yield topic, received, record.read()
 
 
 def _unchunked(path: Path, file: BinaryIO, end: int, unpacking: _Unpacking) -> _Records:
-    """The records that matter, also those within chunks; after the data, what was counted."""
+    """Yield the relevant records, also from within chunks; after the data, only the summary."""
     data_ended = False
     for code, record in _records(path, file, end):
         if code == _CHUNK and not data_ended:
-            record.seek(16)  # of its first and last moment
+            record.seek(16)  # skip the times of the first and last message
             size, checksum, form = _number(record, 8), _number(record, 4), _text(record)
             data = unpacking.unpacked(record.read(_number(record, 8)), form, size)
             if checksum not in (0, zlib.crc32(data)):
@@ -559,7 +561,7 @@ def _unchunked(path: Path, file: BinaryIO, end: int, unpacking: _Unpacking) -> _
 
 
 def _records(path: Path, file: BinaryIO, end: int) -> _Records:
-    """Records, but for those that hold no messages."""
+    """Yield the records that are read, and skip all others."""
     while (at := file.tell()) < end:
         code, size = _number(file, 1), _number(file, 8)
         if code == 0 or size > end - at - 9 or (code in _READ and size > CHUNK_BYTES):
@@ -589,20 +591,21 @@ def _text(file: BinaryIO) -> str:
 
 
 def _know(path: Path, topic: _Topic, topics: dict[_Topic, None]) -> None:
-    """Have a topic among those that are known."""
+    """Add a topic to the known topics."""
     if topic not in topics:
         for name in (topic.name, topic.kind):
             _check_name(path, name, len(topics), "topics")
         topics[topic] = None
 
 
-# SQLite, whose tables may be programs, and whose pages may be in each other.
+# SQLite. A table of a database may be a view, which runs code when it is read, and its pages may
+# refer to each other in a cycle.
 
-_STEPS, _STEPS_A_BYTE = 1_000_000, 4  # of SQLite's machine, of which a row of 7 bytes needs ten
+_STEPS, _STEPS_A_BYTE = 1_000_000, 4  # SQLite instructions; a row of 7 bytes takes about ten
 
 
 def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> _Messages:
-    """The messages of a database, which is read and nothing of it run."""
+    """Yield the messages of a database, without running any code that it contains."""
     for ending in ("-wal", "-journal"):
         log = path.with_name(path.name + ending)
         if log.exists() and log.stat().st_size:
@@ -616,12 +619,12 @@ def _database(path: Path, topics: dict[_Topic, None], unpacking: _Unpacking) -> 
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, CHUNK_BYTES)
         base.set_progress_handler(lambda: next(steps, None) is None, _STEPS)
         base.execute("PRAGMA trusted_schema = OFF")
-        base.execute("PRAGMA ignore_check_constraints = ON")  # which are programs, too
+        base.execute("PRAGMA ignore_check_constraints = ON")  # these can contain code, too
         definitions = dict[str, str]()
         for table in ("topics", "messages", "message_definitions"):
             query = "SELECT type, rootpage > 0 FROM sqlite_master WHERE name = ? COLLATE NOCASE"
             found = base.execute(query, [table]).fetchall()
-            if not found and table == "message_definitions":  # of ROS 2 before 2023
+            if not found and table == "message_definitions":  # ROS 2 before 2023 has no such table
                 continue
             hidden = base.execute(f"SELECT max(hidden) FROM pragma_table_xinfo('{table}')")
             if found != [("table", 1)] or hidden.fetchone()[0]:

@@ -1,4 +1,4 @@
-"""A channel: one measured or commanded quantity of a run, and what the name of a column means."""
+"""Channels: the measured and commanded quantities of a run, and the meaning of column names."""
 
 import difflib
 import re
@@ -24,19 +24,19 @@ from ..schema import (
 
 
 def to_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """`values` in the unit of `suffix`, any shape, as float64 in SI."""
-    with np.errstate(over="ignore"):  # what is infinite then is refused as such
+    """Convert `values` of any shape from the unit of `suffix` to SI, as float64."""
+    with np.errstate(over="ignore"):  # infinite values are refused later
         return np.asarray(np.asarray(values, dtype=np.float64) * si_factor(quantity, suffix))
 
 
 def from_si(quantity: str, suffix: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """`values` in SI, any shape, as float64 in the unit of `suffix`."""
+    """Convert `values` of any shape from SI to the unit of `suffix`, as float64."""
     return np.asarray(np.asarray(values, dtype=np.float64) / si_factor(quantity, suffix))
 
 
 @dataclass(frozen=True)
 class Naming:
-    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
+    """How error messages name rows and columns: `row 5` of a file, `sample 5` of arrays."""
 
     source: str
     row: str
@@ -44,11 +44,11 @@ class Naming:
     columns: bool
 
     def at(self, index: Any) -> str:
-        """The row of the sample with this index."""
+        """Return the name of the row of the sample with this index."""
         return f"{self.row} {int(index) + self.first_row}"
 
     def of(self, channel: RecordedChannel) -> str:
-        """The name of the channel in the person's file or arrays."""
+        """Return the name of the channel in the user's file or arrays."""
         if not self.columns:
             return f"channel {channel.name!r}"
         column = f"{channel.name}_{channel.unit}" if channel.unit else channel.name
@@ -57,7 +57,7 @@ class Naming:
 
 @cached_by_kinds
 def column_table() -> dict[str, ChannelKind]:
-    """The rows that the kinds of models declare, each once, after time.
+    """Return the rows that the kinds of models declare, each once, after time.
 
     Columns are written in this order.
     """
@@ -76,7 +76,7 @@ def _patterns() -> dict[str, re.Pattern[str]]:
 
 
 class NameMatch(NamedTuple):
-    """A row that a name begins with, its match (group `name`: the channel), and the unit if any."""
+    """A table row that matches a name, its match (group `name`: channel) and the unit, if any."""
 
     kind: str
     match: re.Match[str]
@@ -84,7 +84,7 @@ class NameMatch(NamedTuple):
 
 
 def match_name(name: str) -> NameMatch | None:
-    """The row whose channel is the longest that a name begins with; None where none is."""
+    """Return the row with the longest channel at the start of a name; None if no row matches."""
     found = ((kind, pattern.fullmatch(name)) for kind, pattern in _patterns().items())
     matches = [
         NameMatch(kind, match, match["suffix"])
@@ -95,14 +95,14 @@ def match_name(name: str) -> NameMatch | None:
 
 
 def _is_number(digits: str) -> bool:
-    """Whether these are how the number of a joint or link is written: link6 is not link06."""
-    # So many digits first: Python refuses to convert thousands of them.
+    """Return whether digits are a number of a joint or link as written: link6 is not link06."""
+    # The length is checked first, because Python refuses to convert thousands of digits.
     short = len(digits) <= len(str(LINKS))
     return short and 0 < int(digits) <= LINKS and f"{int(digits):02d}" == digits
 
 
 def units_of(kind: str) -> list[str]:
-    """The units that a channel of a row may be recorded in."""
+    """Return the units in which a channel of a row may be recorded."""
     quantity = column_table()[kind].quantity
     return list(QUANTITY_OF_SUFFIX if quantity is None else QUANTITIES[quantity].suffixes)
 
@@ -111,7 +111,7 @@ _ARTICLE = {"angle": "an", "angular_velocity": "an"}
 
 
 def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
-    """What is wrong with the unit of a column or channel (`what`) of a row, and what to do."""
+    """Describe what is wrong with the unit of a column or channel (`what`), and the remedy."""
     row, units = column_table()[kind], units_of(kind)
     quantity = row.quantity
     if suffix in ("percent", "pct", "%"):
@@ -127,7 +127,7 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
     of = "it" if quantity is None else f"{_ARTICLE.get(quantity, 'a')} {quantity.replace('_', ' ')}"
     units = [unit for unit in units if unit]
     if suffix is None:
-        complaint = f"{what} {shown(name)} does not state its unit"
+        complaint = f"{what} {shown(name)} does not give its unit"
         remedy = f"rename it, for example with --rename {name}={name}_{units[0]}"
     else:
         complaint = f"{what} {shown(name)} has the unknown unit {shown(suffix)}"
@@ -136,7 +136,7 @@ def bad_suffix(name: str, kind: str, suffix: str | None, what: str) -> str:
 
 
 def _listed(columns: Iterable[str]) -> Iterator[str]:
-    """Columns, of which those of one part of the arm share its name: `jointNN_angle, _rate`."""
+    """Yield names of columns, combined for each part of the arm: `jointNN_angle, _rate`."""
     before = ""
     for column in columns:
         part, _, rest = column.partition("_")
@@ -145,7 +145,7 @@ def _listed(columns: Iterable[str]) -> Iterator[str]:
 
 
 def unknown_name(name: str, what: str) -> str:
-    """What to do with a column or channel (`what`) that the table does not have."""
+    """Describe the remedy for a column or channel (`what`) that is not in the table."""
     numbered = re.match("(joint|link)([0-9]{3,})", name)
     if numbered is not None and (len(numbered[2]) > len(str(LINKS)) or int(numbered[2]) > LINKS):
         return (
@@ -166,7 +166,7 @@ def unknown_name(name: str, what: str) -> str:
 
 
 def nearest(name: str, *, suffixes: bool = True) -> str | None:
-    """The column (without `suffixes`: the channel) whose name is most like `name`, or None."""
+    """Return the column (without `suffixes`: the channel) with the most similar name, or None."""
     numbers = re.findall(r"[0-9]+", name)
     number = f"{int(numbers[0]) or 1:02d}" if numbers and len(numbers[0]) < 5 else "01"
     candidates = []
@@ -192,7 +192,7 @@ class Channel:
         quantity: `length`, `pixel`, `angle`, `angular_velocity`, `velocity`, `force`, `torque`,
             `pressure`, `time`, `ratio` or `text`.
         unit: the suffix as recorded, `m`, `cm`, `deg`, ...; empty for a ratio or text.
-        camera: that the name begins with, as `side` of `side.link06_u`, or None.
+        camera: camera at the start of the name, such as `side` in `side.link06_u`, or None.
     """
 
     name: str
@@ -204,17 +204,17 @@ class Channel:
     camera: str | None = None
 
     @classmethod
-    @cached_by_kinds  # A model looks its channels up while it is traced: each name is parsed once.
+    @cached_by_kinds  # A model looks up its channels while it is traced: parse each name once.
     def named(cls, name: str, unit: str | None = None) -> "Channel":
-        """The channel of a name.
+        """Return the channel with a given name.
 
         Arguments:
-            name: without a suffix.
-            unit: a suffix of its quantity. By default that of the SI unit, kPa for a pressure,
-                which the table has in no SI unit; `input` and `output` are then ratios.
+            name: name without the suffix of the unit.
+            unit: suffix of a unit of the quantity. The default is the SI unit or, for a pressure,
+                which has no SI unit in the table, kPa; `input` and `output` are then ratios.
 
         Raises:
-            InputError: there is no such channel, or no such unit for it.
+            InputError: there is no such channel, or it cannot have this unit.
         """
         row = match_name(name)
         if row is None or row.suffix is not None:
@@ -236,30 +236,30 @@ class Channel:
 
     @property
     def column(self) -> str:
-        """The column's name in a file: `link06_z_m`."""
+        """Name of the column in a file: `link06_z_m`."""
         return f"{self.name}_{self.unit}" if self.unit else self.name
 
     @property
     def si_unit(self) -> str:
-        """The SI unit that values are held in: `m`, `rad`, `rad/s`, `N m`, ...; `` for none."""
+        """SI unit of the values: `m`, `rad`, `rad/s`, `N m`, ...; empty if they have none."""
         return QUANTITIES[self.quantity].si_unit
 
     def to_si(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """`values` as recorded (in `unit`, any shape), in SI."""
+        """Convert `values` of any shape from the recorded `unit` to SI."""
         return to_si(self.quantity, self.unit, values)
 
     def from_si(self, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """`values` in SI (any shape), as recorded (in `unit`)."""
+        """Convert `values` of any shape from SI to the recorded `unit`."""
         return from_si(self.quantity, self.unit, values)
 
 
 @cached_by_kinds
 def parse_column(name: str) -> Channel:
-    """What a column name means: the longest channel that it begins with, and the unit.
+    """Return the channel of a column: the longest channel that its name starts with, and the unit.
 
     Raises:
-        InputError: the name is not in the table; the nearest known name, or the units to choose
-            from, are in the sentence.
+        InputError: the name is not in the table; the message gives the nearest known name, or the
+            possible units.
     """
     row = match_name(name)
     if row is None:
@@ -271,17 +271,17 @@ def parse_column(name: str) -> Channel:
 
 
 def channel_of(name: str) -> str:
-    """The channel of a column; "" of a name that is none, of which a file may have thousands."""
+    """Return the name of the channel of a column, or "" for a name that is not in the table."""
     row = match_name(name)
     known = row is not None and (row.suffix or "") in units_of(row.kind)
     return row.match["name"] if row is not None and known else ""
 
 
 def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
-    """The channels of a file's header, by column name and in its order.
+    """Return the channels of the header of a file, by column name and in the order of the file.
 
     Raises:
-        InputError: an unknown column, or a channel that is there twice.
+        InputError: a column is unknown, or a channel occurs twice.
     """
     channels: dict[str, Channel] = {}
     first: dict[str, str] = {}
@@ -302,7 +302,7 @@ def parse_columns(names: Iterable[str]) -> dict[str, Channel]:
 
 
 def order(channel: Channel) -> tuple[int, str, int, int]:
-    """Sort key of the columns in a written file: kind, then camera, number and component."""
+    """Return the sort key of a column in a written file: kind, camera, number and component."""
     row = list(column_table()).index(channel.kind)
     return (row, channel.camera or "", channel.index or 0, channel.component or 0)
 
@@ -323,16 +323,16 @@ def _channel(row: NameMatch, unit: str) -> Channel:
 
 
 def infer_model(channels: Iterable[Channel]) -> str | None:
-    """The kind of model that the channels alone say, or None."""
+    """Return the kind of model that the channels alone determine, or None."""
     rows = frozenset(channel.kind for channel in channels)
     return next((kind.name for kind in KINDS.values() if kind.recognises(rows)), None)
 
 
 def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) -> str:
-    """The kind of model of a run: as its sidecar states, else as its channels say.
+    """Return the kind of model of a run: from its sidecar or, without one, from its channels.
 
     Raises:
-        InputError: neither says, or a channel belongs to another kind.
+        InputError: neither gives the kind, or a channel belongs to another kind.
     """
     channels = list(channels)
     inferred = infer_model(channels)
@@ -340,8 +340,8 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
     if model is None:
         names = ", ".join(channel.name for channel in channels)
         raise InputError(
-            f"{source}: the channels {names} do not determine the model of the run: "
-            f'state it in the sidecar as model = "..." ({one_of(KINDS)})'
+            f"{source}: the channels {names} do not determine the model of the run: set it in the "
+            f'sidecar as model = "..." ({one_of(KINDS)})'
         )
     rows = {"time", *(row.name for row in KINDS[model].channels)}
     for channel in channels:
@@ -349,11 +349,11 @@ def decide_model(channels: Iterable[Channel], sidecar: str | None, source: str) 
             continue
         if sidecar is not None and inferred not in (None, sidecar):
             raise InputError(
-                f"{source}: the sidecar states model = {sidecar!r}, but column {channel.column!r} "
+                f"{source}: the sidecar sets model = {sidecar!r}, but column {channel.column!r} "
                 f"belongs to the model {inferred!r}: correct the sidecar or remove the column"
             )
         raise InputError(
-            f"{source}: column {channel.column!r} does not belong to the model {model!r} "
-            "of this run: remove or rename it, or state another model in the sidecar"
+            f"{source}: column {channel.column!r} does not belong to the model {model!r} of this "
+            "run: remove or rename it, or set another model in the sidecar"
         )
     return model

@@ -1,4 +1,4 @@
-"""The one TOML vocabulary of sidecars, fit definitions and a user's own arm."""
+"""Definitions: the TOML vocabulary of sidecars, fit definitions and arm definitions."""
 
 import difflib
 import json
@@ -43,16 +43,16 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def to_toml(data: dict[str, Any]) -> str:
-    """TOML text of nested dicts of strings, numbers, booleans and lists; None is left out.
+    """Return nested dicts of strings, numbers, booleans and lists as TOML; None is left out.
 
-    The order of the dicts is kept, plain values come before tables. What TOML cannot hold is an
-    `InputError`.
+    The order of the dicts is kept, with plain values before tables. A value that TOML cannot
+    represent raises an `InputError`.
     """
     return "\n".join(_table(data, ())).strip("\n") + "\n"
 
 
 def key_path(parts: tuple[str, ...]) -> str:
-    """A dotted key; a part that is not a bare word is quoted."""
+    """Return a dotted key; a part that is not a bare key is quoted."""
     return ".".join(part if _BARE.fullmatch(part) else _string(part) for part in parts)
 
 
@@ -77,7 +77,7 @@ def _value(value: Any, path: tuple[str, ...]) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        # TOML could hold nan and inf; no key of the vocabulary may.
+        # TOML can represent nan and inf, but no key of the vocabulary allows them.
         if math.isfinite(value):
             return repr(value)
     elif isinstance(value, str):
@@ -100,9 +100,10 @@ def _string(text: str) -> str:
 
 
 def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> InputError:
-    """The first complaint of `error`, raised by `cls`, as an `InputError`.
+    """Return the first error in `error`, which `cls` raised, as an `InputError`.
 
-    What a key must be is what its declaration says, not the wording of pydantic.
+    The message describes the legal values as the declaration of the key does, not in the wording of
+    pydantic.
     """
     first = error.errors(include_url=False)[0]
     path, owner, field, entry = _locate(cls, first["loc"])
@@ -110,14 +111,14 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     in_list = "" if entry is None else f" of entry {entry}"
     if first["type"] == "extra_forbidden":
         return InputError(f"{source}: unknown key {name}{in_list}{_remedy(cls, owner, path)}")
-    if first["type"] == "value_error":  # raised by a validator of the vocabulary, in full
+    if first["type"] == "value_error":  # raised by a validator, with a full message
         sentence = str(first["ctx"]["error"])
         where = f"[{name}]" if field is None or sentence.startswith("key ") else name
         return InputError(f"{source}: {where} {sentence}" if name else f"{source}: {sentence}")
     if field is None:
         return InputError(f"{source}: [{name}] must be a table of keys: write it as one")
     about, must = field.json_schema_extra, "legal"
-    # One bad number in a table of numbers is not the whole table.
+    # A bad number in a table of numbers does not make the whole table bad.
     if isinstance(about, dict) and _is_dict(field) and owner is None and len(path) > 2:
         must = str(about.get("entry", "a finite number or a list of them"))
     elif isinstance(about, dict):
@@ -128,11 +129,11 @@ def complaint(cls: type[BaseModel], error: ValidationError, source: str) -> Inpu
     return InputError(f"{source}: {name} = {value}{in_list} must be {must}: correct or remove it")
 
 
-_MANY = 16  # more keys than this are no list to read in a sentence
+_MANY = 16  # a sentence lists at most this many keys
 
 
 def plain(value: Any) -> Any:
-    """Mappings, sequences, arrays and priors as dicts, lists and numbers, as TOML would give."""
+    """Convert mappings, sequences, arrays and priors to dicts, lists and numbers, as in TOML."""
     if isinstance(value, Prior):
         return value.contents()
     if isinstance(value, Mapping):
@@ -145,10 +146,11 @@ def plain(value: Any) -> Any:
 def _locate(
     cls: type[BaseModel], location: tuple[int | str, ...]
 ) -> tuple[tuple[str, ...], type[BaseModel] | None, FieldInfo | None, int | None]:
-    """Dotted path, owning section, and field (None for a whole section) of an error's place.
+    """Return the dotted path, owning section and field (None: a whole section) of an error.
 
-    And which entry of a list of sections it is in, from 1 on. What pydantic adds behind the key
-    (the branch of a union, the place in a list of numbers) is left out.
+    The last value is the number of the entry, from 1, if the error is in a list of sections.
+    What pydantic adds behind the key (the branch of a union, the position in a list of numbers) is
+    left out.
     """
     path: list[str] = []
     owner: type[BaseModel] | None = cls
@@ -204,7 +206,7 @@ def _section_of(field: FieldInfo) -> type[BaseModel] | None:
 
 
 def _element_of(field: FieldInfo) -> type[BaseModel] | None:
-    """The section that the entries of a list are."""
+    """Return the section class of the entries of a list, or None."""
     for item in (field.annotation, *get_args(field.annotation)):
         for element in get_args(item) if getattr(item, "__origin__", None) is list else ():
             if isinstance(element, type) and issubclass(element, BaseModel):
@@ -240,7 +242,7 @@ _QUOTED = [f'"{name}"' for name in KINDS]
 
 
 def _known_model(word: str) -> str:
-    # The model of a package is imported, and becomes a kind.
+    # Looking up the model of a package imports it, which registers its kind.
     if word not in KINDS and registered("model", word) is not None and word not in KINDS:
         raise ValueError(
             f"= {word!r} is a model that declares no channels: declare them in its class"
@@ -295,9 +297,9 @@ else:
 class Definition(_Sections):
     """A sidecar, a fit definition or a user's own arm. Every section and key is optional.
 
-    A section that is not in the file is there with its defaults, so
-    `definition.section(ArmSection).links` is always legal; `definition.contents()` has only what
-    the file has. Each kind of model brings its sections.
+    A section that is not in the file exists with its defaults, so
+    `definition.section(ArmSection).links` is always legal. `definition.contents()` returns only the
+    contents of the file. Each kind of model adds its own sections.
     """
 
     noise: Noise = Field(default_factory=Noise)
@@ -316,8 +318,8 @@ class Definition(_Sections):
     )
 
     def section(self, of: type[S]) -> S:
-        """The section of a class, with its defaults where it is not in the file."""
-        # What was made before a kind was registered has no section of it.
+        """Return the section of a class, with its defaults if it is not in the file."""
+        # A definition made before a kind was registered lacks the sections of this kind.
         section: S = getattr(self, _names()[of], None) or of()
         return section
 
@@ -328,15 +330,15 @@ class Definition(_Sections):
 
     @classmethod
     def parse(cls, data: Mapping[str, Any], source: str = "definition") -> "Definition":
-        """The definition that plain data state.
+        """Make a definition from plain data.
 
         Arguments:
-            data: as `tomllib` reads it; mappings, sequences and arrays will do.
-            source: what errors call them.
+            data: data as read by `tomllib`; mappings, sequences and arrays are accepted, too.
+            source: name of the data in error messages.
 
         Raises:
-            InputError: an unknown key (with the nearest known one), or a value that is not what
-                its key must be, or data beyond the limits of a file.
+            InputError: a key is unknown (the message gives the nearest known one), a value is not
+                legal for its key, or the data exceed the size limits of a file.
         """
         check_size(data, source)
         try:
@@ -350,33 +352,33 @@ class Definition(_Sections):
         """Read a TOML file.
 
         Raises:
-            InputError: it is missing, not TOML or not legal.
+            InputError: the file is missing, is not TOML, or is not legal.
         """
         path = Path(path)
         text = read_text(path, TEXT_BYTES, "TOML", "the path of a TOML file")
         return cls.parse(parse_toml(text, path), str(path))
 
     def merged_with(self, other: "Definition") -> "Definition":
-        """This definition with what `other` gives on top, key by key within each section.
+        """Return this definition, overridden by `other` for each key within a section.
 
         Raises:
-            InputError: the two together contradict themselves.
+            InputError: the two definitions contradict each other.
         """
         merged = self.contents()
         for name, value in other.contents().items():
-            # An entry of [figures] says one thing, and is replaced as a whole.
+            # The keys of an entry of [figures] belong together, so it is replaced as a whole.
             depth = 1 if name == "figures" else 2
             merged[name] = _merge(merged.get(name), value, depth)
         return Definition.parse(merged, "combined definitions")
 
     def to_toml(self) -> str:
-        """TOML text of the contents, the version first; `load` reads it back."""
+        """Return the contents as TOML, starting with the version; `load` reads this text."""
         return to_toml({"schema_version": self.schema_version, **self.contents()})
 
 
 @cached_by_kinds
 def _names() -> dict[type[Section], str]:
-    """The names of the sections of all kinds, each of which is then a field of a definition."""
+    """Return the section names of all kinds, and make each section a field of `Definition`."""
     fields = Definition.model_fields
     known = {name: field.annotation for name, field in fields.items()}
     added = {name: of for name, of in _classes().items() if known.get(name) is not of}
@@ -390,22 +392,22 @@ def _names() -> dict[type[Section], str]:
 def fit_settings(
     keywords: Mapping[str, Any], source: str = "the arguments", settings: FitSettings | None = None
 ) -> FitSettings:
-    """The settings of a fit that keywords state, or those that were given in their place.
+    """Return the settings of a fit from keywords, or the given settings object.
 
     Arguments:
-        keywords: as of `FitKeywords`; None for what is not said.
-        source: what errors call them.
-        settings: in place of keywords.
+        keywords: keywords of `FitKeywords`; None for those that are not set.
+        source: name of the keywords in error messages.
+        settings: settings object to use instead of keywords.
 
     Raises:
-        InputError: as `Definition.parse`; there are settings and keywords.
+        InputError: as in `Definition.parse`, or both settings and keywords are given.
     """
     names = [name for name, value in keywords.items() if value is not None]
     if settings is not None:
         if names:
             raise InputError(
-                f"{source} contain both a settings object and {', '.join(names)}: state all "
-                f"settings in only one of the two ways"
+                f"{source} contain both a settings object and {', '.join(names)}: give all "
+                "settings in only one of the two ways"
             )
         return settings
     said = {name: plain(value) for name, value in keywords.items() if value is not None}
@@ -419,14 +421,14 @@ def fit_settings(
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Plain data of an older version, which each kind of model knows to read, as of this one."""
+    """Convert plain data of an older version to this one, using the rules of each kind of model."""
     for kind in KINDS.values():
         data = kind.upgraded(data)
     return data
 
 
 def run_keys(*, model: bool) -> tuple[str, ...]:
-    """What a definition may say about a run, with what it says of its `model` or without."""
+    """Return the keys that a definition may contain about a run, with or without its `model`."""
     sections = [
         name
         for kind in KINDS.values()
@@ -445,10 +447,10 @@ def _merge(below: Any, above: Any, depth: int) -> Any:
 
 
 def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) -> str:
-    """TOML text of a sidecar for the run at `path`, whose columns may be renamed.
+    """Return a TOML sidecar for the run at `path`, whose columns may be renamed.
 
-    It states what follows from the file (model, checksum, free motion) and offers, as comments
-    with unit and meaning, every other key of the vocabulary that applies. An old sidecar is not
+    It sets the values that follow from the file (model, checksum, free motion). All other
+    applicable keys of the vocabulary are comments with unit and meaning. An existing sidecar is not
     read.
 
     Raises:
@@ -459,8 +461,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     model = infer_model(table.channels.values())
     kind = None if model is None else KINDS[model]
     lines = [
-        f"# Sidecar of {path.name}. Remove the '#' before a key to state it; a key that is not "
-        f"stated",
+        f"# Sidecar of {path.name}. Remove the '#' before a key to set it. A key that is not set",
         "# is assumed or unknown." if kind is None else kind.template_heading,
         "schema_version = 1",
         _line(Definition, "model", model),
@@ -476,7 +477,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
 
 
 def _offered(kind: Kind, table: Table) -> list[str]:
-    """The sections that the kind of model offers for these columns."""
+    """Return the lines of the sections that the kind of model offers for these columns."""
     classes = kind.all_sections
     lines = []
     for offer in kind.offers(list(table.channels.values())):
@@ -496,19 +497,19 @@ def _noise(kind: Kind, table: Table) -> list[str]:
     if not measured:
         return []
     column = measured[-1].column
-    # A column may have the name of a quantity's key: then it stands for itself.
+    # A column may have the name of the key of a quantity. The name then means the column.
     known = {column_table()[channel.kind].noise for channel in measured} - {column}
     lines = [_line(Noise, name) for name in Noise.model_fields if name in known]
-    meaning = "noise of one column by its name, in its unit; takes precedence over its quantity"
+    meaning = "noise of the column with this name, in its unit; replaces the noise of its quantity"
     lines.append(f"# {column} = 0.01  # {meaning}")
-    return ["", "[noise]  # not stated: a fit estimates it", *lines]
+    return ["", "[noise]  # where it is not given, a fit estimates it", *lines]
 
 
 def _line(section: type[BaseModel], name: str, value: Any = None) -> str:
-    """`key = value  # meaning`, commented out unless the value is stated."""
+    """Return `key = value  # meaning`, commented out if no value is given."""
     field = section.model_fields[name]
     extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-    # The values of a key that is one of a few, as its declaration says them.
+    # List the values of a key that allows only a few, as in its declaration.
     choices = f": {extra['must']}" if "Literal[" in str(field.annotation) else ""
     shown = _value(extra["example"] if value is None else value, ())
     text = f"{key_path((name,))} = {shown}  # {field.description}{choices}"

@@ -1,4 +1,4 @@
-"""What a run holds, as plain data for a person to check."""
+"""Describe the contents of a run as plain data that a person can check."""
 
 import dataclasses
 from typing import Any
@@ -13,11 +13,11 @@ from ._run import Run
 
 
 def describe(run: Run) -> dict[str, Any]:
-    """What a run holds, as plain data (dicts, lists, str, int, float, bool, None).
+    """Return a description of a run as plain data (dicts, lists, str, int, float, bool, None).
 
-    They are `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in its
-    recorded unit), `sidecar`, `oddities` (`Oddity` as a dict) and `notes`, sentences on these and
-    on what is assumed because it is not stated.
+    The keys are `name`, `path`, `model`, `rows`, `time` (s), `command`, `wind`, `channels` (each in
+    its recorded unit), `sidecar`, `oddities` (each `Oddity` as a dict) and `notes`: sentences about
+    these and about assumptions that replace missing information.
     """
     odd = oddities(run)
     rows = len(run.times) if run.times is not None else len(next(iter(run.values.values())))
@@ -68,13 +68,13 @@ def _command(run: Run) -> dict[str, Any] | None:
 
 
 def _corners(times: npt.NDArray[Any], values: npt.NDArray[Any], interpolation: str) -> int:
-    """Number of rows at which a command jumps (zoh) or changes its slope; 0 where it is smooth."""
+    """Return the number of rows where a command jumps (zoh) or changes slope; 0 if it is smooth."""
     if interpolation == "band_limited":
         return 0
     if interpolation == "zoh":
         return int(np.any(np.diff(values, axis=0) != 0, axis=1).sum())
     slopes = np.diff(values, axis=0) / np.diff(times)[:, None]
-    # A recorded ramp of six digits changes its slope by one part in 1e4 from row to row.
+    # A ramp recorded with six digits changes its slope by one part in 1e4 from row to row.
     bends = np.abs(np.diff(slopes, axis=0)) > 1e-3 * np.abs(slopes).max(initial=0.0)
     return int(np.any(bends, axis=1).sum())
 
@@ -136,9 +136,9 @@ def _sidecar(run: Run) -> dict[str, Any] | None:
 def _notes(run: Run) -> list[str]:
     notes = run.kind.notes(run, _sidecar(run) is not None)
     if not run.observations:
-        notes.append("no measured channel: the run can be simulated, but not fitted")
+        notes.append("the run has no measured channel: it can be simulated, but not fitted")
     silent = [name for name in run.observations if run.noise(name) is None]
     if silent:
         which = "" if len(silent) == len(run.observations) else f" of {', '.join(silent)}"
-        notes.append(f"noise{which} not stated: a fit estimates it")
+        notes.append(f"the noise{which} is not specified: a fit estimates it")
     return notes

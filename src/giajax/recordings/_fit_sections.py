@@ -1,4 +1,4 @@
-"""The sections of measuring and fitting: noise, a fit, and the figures that it must reach."""
+"""Sections of a definition for noise, uncertainty, the fit, and the figures it must reach."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -33,13 +33,13 @@ from ..schema import (
 from ._channels import Channel, column_table, from_si, parse_column, to_si
 
 DURATION = r"^[0-9]{1,9}(\.[0-9]{1,9})?[smh]$"
-"""What such a time looks like; a number without a unit is none."""
+"""Pattern of a duration: a number followed by its unit."""
 
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 
 def seconds_of(duration: str) -> float:
-    """A time that `DURATION` matches in seconds.
+    """Convert a duration that matches `DURATION` to seconds.
 
     Example:
         >>> seconds_of("1.5h")
@@ -55,40 +55,50 @@ _TIME = "a positive number of seconds"
 
 
 class Noise(Section):
-    """`[noise]`: standard deviations of a cell, by quantity or by column.
+    """`[noise]`: standard deviations of the noise of one value, by quantity or by column.
 
-    A part of it may be known to be correlated in time, by exp(-|dt| / time).
+    A part of the noise may be correlated in time, with the autocorrelation exp(-|dt| / time).
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
     __pydantic_extra__: dict[str, Positive] = Field(init=False)
 
-    position_m: Positive | None = key(_NOISE, "standard deviation of every position", example=0.01)
-    angle_deg: Positive | None = key(_NOISE, "standard deviation of every angle", example=0.5)
+    position_m: Positive | None = key(
+        _NOISE, "standard deviation of the noise of every position", example=0.01
+    )
+    angle_deg: Positive | None = key(
+        _NOISE, "standard deviation of the noise of every angle", example=0.5
+    )
     rate_deg_per_s: Positive | None = key(
-        _NOISE, "standard deviation of every joint rate", example=1.0
+        _NOISE, "standard deviation of the noise of every joint rate", example=1.0
     )
     pixel_px: Positive | None = key(
-        _NOISE, "standard deviation of every coordinate in a picture", example=2.0
+        _NOISE, "standard deviation of the noise of every image coordinate", example=2.0
     )
     acceleration_m_per_s2: Positive | None = key(
-        _NOISE, "standard deviation of every acceleration", example=0.05
+        _NOISE, "standard deviation of the noise of every acceleration", example=0.05
     )
     position_correlated_m: Positive | None = key(_NOISE, "correlated part of position_m")
-    position_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    position_correlation_s: Positive | None = key(
+        _TIME, "correlation time of position_correlated_m"
+    )
     angle_correlated_deg: Positive | None = key(_NOISE, "correlated part of angle_deg")
-    angle_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    angle_correlation_s: Positive | None = key(_TIME, "correlation time of angle_correlated_deg")
     rate_correlated_deg_per_s: Positive | None = key(_NOISE, "correlated part of rate_deg_per_s")
-    rate_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    rate_correlation_s: Positive | None = key(
+        _TIME, "correlation time of rate_correlated_deg_per_s"
+    )
     pixel_correlated_px: Positive | None = key(_NOISE, "correlated part of pixel_px")
-    pixel_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    pixel_correlation_s: Positive | None = key(_TIME, "correlation time of pixel_correlated_px")
     acceleration_correlated_m_per_s2: Positive | None = key(
         _NOISE, "correlated part of acceleration_m_per_s2"
     )
-    acceleration_correlation_s: Positive | None = key(_TIME, "correlation time of that part")
+    acceleration_correlation_s: Positive | None = key(
+        _TIME, "correlation time of acceleration_correlated_m_per_s2"
+    )
 
     def correlated_part(self, name: str) -> tuple[float, float] | None:
-        """Deviation, in the unit of a key, and time of the correlated part of it."""
+        """Return the standard deviation (unit of the key) and time (s) of the correlated part."""
         quantity, _, unit = name.partition("_")
         deviation = getattr(self, f"{quantity}_correlated_{unit}")
         time_s = getattr(self, f"{quantity}_correlation_s")
@@ -96,7 +106,7 @@ class Noise(Section):
 
     @property
     def columns(self) -> dict[str, float]:
-        """The standard deviations by column name, in the column's unit."""
+        """Standard deviations by column name, in the unit of the column."""
         return dict(self.__pydantic_extra__ or {})
 
     @model_validator(mode="after")
@@ -111,8 +121,8 @@ class Noise(Section):
                 )
             if of_part is not None and (size is None or of_part > size):
                 raise ValueError(
-                    f"key {part!r} is a component of {name}: state {name} too, which must be at "
-                    f"least as large"
+                    f"key {part!r} is a component of {name}: give {name} too, which must be at "
+                    "least as large"
                 )
         return self
 
@@ -130,7 +140,7 @@ class Noise(Section):
                 ) from None
             if channel in stated:
                 raise ValueError(
-                    f"key {name!r} states the noise of {channel}, and so does {stated[channel]!r}: "
+                    f"key {name!r} gives the noise of {channel}, and so does {stated[channel]!r}: "
                     "remove one"
                 )
             stated[channel] = name
@@ -138,10 +148,10 @@ class Noise(Section):
 
 
 class Uncertainty(Section):
-    """`[uncertainty]`: how surely devices and constants are known, as standard deviations by path.
+    """`[uncertainty]`: standard deviations of device parameters and constants, by path.
 
-    In SI, and 0 of what is exact. A fit frees what is uncertain, with such a prior; of what is not
-    stated the model knows what is usual.
+    Values are in SI, and 0 means exact. A fit frees uncertain parameters with a prior of this
+    standard deviation. For those that are not given, the model has usual values.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
@@ -176,14 +186,14 @@ class Uncertainty(Section):
                 )
             if (whole := path.partition("[")[0]) != path and whole in stated:
                 raise ValueError(
-                    f"key {whole!r} applies to all elements, but {path!r} to one of them: state a "
-                    f"list for all elements"
+                    f"key {whole!r} applies to all elements, but {path!r} applies to one of them: "
+                    "give a list for all elements"
                 )
         return stated
 
 
 class PriorEntry(Section):
-    """One entry of `[fit.priors]`: what is known of a parameter before the fit."""
+    """One entry of `[fit.priors]`: prior knowledge of a parameter."""
 
     value: Finite = key("a number", "the most probable value, SI", default=...)
     deviation: Positive | None = key("a positive number", "standard deviation, SI")
@@ -201,7 +211,7 @@ class PriorEntry(Section):
         return self
 
     def prior(self) -> Prior:
-        """The prior that it states."""
+        """Return the entry as a prior."""
         return Prior(self.value, self.deviation, self.factor)
 
 
@@ -215,7 +225,7 @@ _LOSS = (
 
 
 def _known_loss(said: Any) -> Any:
-    """A loss as a file states it, also of an object of Python."""
+    """Return a loss in the form used in a file; accepts loss objects, too."""
     if not isinstance(said, str | Mapping | type) and hasattr(said, "contents"):
         said = said.contents()
     name = said.get("name") if isinstance(said, Mapping) else said
@@ -226,11 +236,11 @@ def _known_loss(said: Any) -> Any:
 
 
 Values = dict[Name, Finite | list[Finite]]
-"""Values by parameter path, SI: one for the whole parameter, or one per element."""
+"""Values by parameter path, SI: one for the whole parameter, or one for each element."""
 
 
 def _known_solver(said: Any) -> Any:
-    """A solver as a file states it; a word is known to who takes it."""
+    """Return a solver in the form used in a file; names are checked where the solver is made."""
     text = as_text(said)
     if isinstance(text, str) and "(" in text:
         from_text(text)
@@ -238,7 +248,7 @@ def _known_solver(said: Any) -> Any:
 
 
 def _known_optimiser(said: Any) -> Any:
-    """A solver of optimistix, which is not imported here."""
+    """Return a solver of optimistix after a check of its class, without importing optimistix."""
     if any(each.__name__ == "AbstractLeastSquaresSolver" for each in type(said).__mro__):
         return said
     given = " ".join(shown(said).split())
@@ -252,10 +262,11 @@ _OPTIMISER = (
 
 
 class FitSettings(Section):
-    """All settings of a fit: `[fit]` of a definition, keywords of Python, options of the command.
+    """All settings of a fit: `[fit]` of a definition, Python keywords, command-line options.
 
-    Each is declared here, with its default; what was not said is not in `contents`. It is passed on
-    whole. `fit_settings` makes one of keywords. The words of the options are `cli/_fit.py`'s.
+    Each setting is declared here with its default; `contents` leaves out those that are not set.
+    The object is passed on as a whole. `fit_settings` makes it from keywords. The wording of the
+    options is in `cli/_fit.py`.
     """
 
     data: list[Name] = key(
@@ -344,7 +355,8 @@ class FitSettings(Section):
     )
     loss: Annotated[Loss | str | dict[str, Any], BeforeValidator(_known_loss)] = key(
         _LOSS,
-        "Loss of the residuals: linear; or huber, soft_l1 or student_t for outliers.",
+        "Loss function of the residuals: linear, or huber, soft_l1 or student_t for data with "
+        "outliers.",
         default="linear",
     )
     noise_model: NoiseModel = key(
@@ -354,42 +366,44 @@ class FitSettings(Section):
     )
     noise_per_run: bool = key(
         "true or false",
-        "Estimate the noise of each run separately; default: of all runs together.",
+        "Estimate the noise of each run separately (default: of all runs together).",
         default=False,
     )
     solver: Annotated[Name | None, BeforeValidator(_known_solver)] = key(
-        "the name of a solver", "Integration method, such as tsit5 (springs5)."
+        "the name of a solver", "Integration method, such as tsit5 (default: springs5)."
     )
     tolerance: Positive | None = key(
         "a positive number", "Tolerance of the integration (default: chosen by its effect)."
     )
     optimiser: Annotated[Any, Field(exclude=True), BeforeValidator(_known_optimiser)] = key(
-        _OPTIMISER, "Optimiser in place of giajax's trust region; cannot be stated in a file."
+        _OPTIMISER,
+        "Optimiser to use instead of the giajax trust region; cannot be given in a file.",
     )
     max_iterations: Annotated[int, Field(ge=1)] = key(
         "a whole number of at least 1", "Maximum number of trial steps of the fit.", default=50
     )
     budget: Annotated[str, Field(pattern=DURATION)] | None = key(
         'a time such as "90s", "10m" or "2h"',
-        "Time limit, after which the fit keeps its best result: 90s, 10m, 2h.",
+        "Time limit, such as 90s, 10m or 2h, after which the fit returns its best result.",
     )
     out: Name | None = key("the name of a folder", "Folder for the result.")
 
     @property
     def known(self) -> dict[str, Prior]:
-        """The priors by path."""
+        """Priors by path."""
         return {path: entry.prior() for path, entry in self.priors.items()}
 
     @property
     def budget_s(self) -> float | None:
-        """Wall time that the fit may take, s."""
+        """Time limit of the fit (wall time), s, or None."""
         return None if self.budget is None else seconds_of(self.budget)
 
     @classmethod
     def shared_with(cls, config: Mapping[str, Any]) -> Self:
-        """What a later fit of the same runs has in common with that of a result's `config`.
+        """Return the settings that a later fit of the same runs shares with a result's `config`.
 
-        What was uncertain there is among its free parameters.
+        The uncertain parameters of the earlier fit are among its free parameters, so `nuisances` is
+        false.
         """
         names = ("priors", "bounds", "ties", "groups", "loss", "noise_model", "noise_per_run")
         known = {name: config[name] for name in names if name in config}
@@ -404,7 +418,7 @@ class FitSettings(Section):
     )
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
-        # `air.drag_coefficient = 1.2` without quotes is a nested table in TOML, and means the same.
+        # Without quotes, `air.drag_coefficient = 1.2` is a nested table in TOML. Both are accepted.
         leaves = PriorEntry.model_fields
         return flat(table, leaves=leaves) if isinstance(table, Mapping) else table
 
@@ -435,9 +449,9 @@ FIT_DEFAULTS = {
 
 
 class FitKeywords(TypedDict, total=False):
-    """Settings of a fit of given runs as keywords: arrays and `Prior` where a file has numbers.
+    """Settings of a fit of given runs as keywords, with arrays and `Prior` objects as values.
 
-    None for what is not said. A budget may be a number of seconds.
+    None leaves a setting at its default. `budget` may be a number of seconds.
     """
 
     free: Sequence[str] | None
@@ -460,7 +474,7 @@ class FitKeywords(TypedDict, total=False):
 
 
 class StartsKeywords(FitKeywords, total=False):
-    """And those of a fit from several starts."""
+    """Settings of a fit from several initial guesses, as keywords."""
 
     starts: int | None
     spread: float | None
@@ -468,7 +482,7 @@ class StartsKeywords(FitKeywords, total=False):
 
 
 class TaskKeywords(StartsKeywords, total=False):
-    """And those that say which part of the files is fitted, and the held-out data."""
+    """Settings of a fit of files as keywords, including the selected and the held-out data."""
 
     uncertainty: Mapping[str, npt.ArrayLike] | None
     channels: Sequence[str] | None
@@ -478,17 +492,18 @@ class TaskKeywords(StartsKeywords, total=False):
 
 
 class Figure(Section):
-    """One entry of `[figures]`: what the fit of a shipped definition must reach."""
+    """One entry of `[figures]`: a value that the fit of a shipped definition must reach."""
 
     value: Finite | None = key("a number", "expected value")
     standard_errors: Positive | None = key(
-        "a positive number", "largest distance of the result from the value, in standard errors"
+        "a positive number",
+        "maximum deviation of the result from the value, in units of the standard error",
     )
     relative_error: Positive | None = key(
-        "a positive number", "largest standard error, relative to the fitted value"
+        "a positive number", "maximum standard error, relative to the fitted value"
     )
     within: Positive | None = key(
-        "a positive number", "largest distance of the result from the value, relative to the value"
+        "a positive number", "maximum deviation of the result from the value, relative to the value"
     )
     determined: bool | None = key(
         "true or false", "false: the run must not determine the parameter"
@@ -501,7 +516,7 @@ class Figure(Section):
         if self.determined is False:
             if any(item is not None for item in goals):
                 raise ValueError(
-                    "states determined = false and a figure to reach, but may state only one of "
+                    "gives determined = false and a figure to reach, but may give only one of "
                     "them: remove the other"
                 )
         elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
@@ -512,14 +527,14 @@ class Figure(Section):
         return self
 
 
-# Noise of arrays goes by quantity, without the unit that ends the key in a file.
+# The noise of arrays is given by quantity, without the unit that ends the key in a file.
 _NOISE_QUANTITIES = {
     key.partition("_")[0]: key for key in Noise.model_fields if "_correlat" not in key
 }
 
 
 def deviation_of(noise: Noise, channel: Channel) -> float | None:
-    """The standard deviation (SI) that `[noise]` states for a channel, or None."""
+    """Return the standard deviation (SI) that `[noise]` gives for a channel, or None."""
     for column, deviation in noise.columns.items():
         recorded = parse_column(column) if column.startswith(channel.name) else None
         if recorded is not None and recorded.name == channel.name:
@@ -531,9 +546,9 @@ def deviation_of(noise: Noise, channel: Channel) -> float | None:
 
 
 def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | None:
-    """The deviation (SI) and the time (s) of the correlated part, as `[noise]` states it."""
+    """Return standard deviation (SI) and time (s) of the correlated part in `[noise]`, or None."""
     key = column_table()[channel.kind].noise
-    # A column that states its own noise is not that of its quantity.
+    # The noise of a quantity does not apply to a column that has its own entry.
     if any(parse_column(column).name == channel.name for column in noise.columns):
         return None
     part = None if key is None else noise.correlated_part(key)
@@ -544,16 +559,16 @@ def correlated_part_of(noise: Noise, channel: Channel) -> tuple[float, float] | 
 
 
 def _unit_of(key: str) -> tuple[str, str]:
-    """Quantity and unit of a key of `[noise]`, which ends in its unit."""
+    """Return the quantity and the unit of a key of `[noise]`, which ends with the unit."""
     unit = key.partition("_")[2]
     return QUANTITY_OF_SUFFIX[unit], unit
 
 
 def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -> dict[str, Any]:
-    """The `[noise]` section of standard deviations (SI) by quantity or by channel.
+    """Return the `[noise]` section for standard deviations (SI) by quantity or by channel.
 
     Raises:
-        InputError: another name.
+        InputError: a name is neither a quantity nor a channel.
     """
     section: dict[str, Any] = {}
     for name, deviation in noise.items():
@@ -564,7 +579,7 @@ def noise_section(noise: Mapping[str, float], channels: Mapping[str, Channel]) -
             section[channels[name].column] = float(channels[name].from_si(deviation))
         else:
             raise InputError(
-                f"{name!r} has no noise: state the noise of {', '.join(_NOISE_QUANTITIES)} "
-                "or of a channel of the run"
+                f"{name!r} has no noise: give the noise of {', '.join(_NOISE_QUANTITIES)} or of a "
+                "channel of the run"
             )
     return section

@@ -1,4 +1,4 @@
-"""What other programs recorded, by name, and the channels that it becomes."""
+"""Data that other programs recorded, by name, and their conversion to channels."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -19,21 +19,22 @@ Numbers = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ImportSettings:
-    """How the file of another program is read, and what of it becomes a run.
+    """How the file of another program is read, and which parts of it become a run.
 
     Attributes:
-        frame_rate: pictures a second; in place of the times of a file that has some.
-        likelihood: a point that is less likely was not found.
-        time_unit: of times whose file does not say it: `s` or `ms`.
-        unit: of lengths whose file does not say it: `m`, `cm` or `mm`.
-        origin: of coordinates that are counted in px, upwards: where it is in the picture, u and v.
-        axes: the axes of the base that the first, the second (and the third) coordinate of a file
-            are, as in `x`, `z`, `-y`; by default as the format has them.
+        frame_rate: frames per second; replaces the times in a file that has some.
+        likelihood: points with a lower likelihood are treated as not found.
+        time_unit: unit of times if the file does not give it: `s` or `ms`.
+        unit: unit of lengths if the file does not give it: `m`, `cm` or `mm`.
+        origin: position (u, v) in the image of the origin of pixel coordinates that are counted
+            upwards.
+        axes: axes of the base along which the first, second (and third) coordinate of a file point,
+            such as `x`, `z`, `-y`; the default depends on the format.
         rename: column of a table -> its name in the column table.
-        only, ignore: patterns of names, in the file or of channels: these alone, and without these.
+        only, ignore: patterns of names in the file or of channels to keep, and to leave out.
         flip: axes (`z`) or channels whose sign is changed.
-        offset: added to the times, s.
-        from_time, until: the first and last time that is kept, s, after that.
+        offset: time added to all times, s.
+        from_time, until: first and last time that is kept, s, after the offset is added.
     """
 
     frame_rate: float | None = None
@@ -54,7 +55,7 @@ class ImportSettings:
         rate, units = self.frame_rate, {"time": self.time_unit, "length": self.unit}
         if rate is not None and not (np.isfinite(rate) and rate > 0):
             raise InputError(
-                f"the rate is {rate:g}: give the number of pictures per second, a positive number"
+                f"the frame rate is {rate:g}: give a positive number of frames per second"
             )
         for quantity, unit in units.items():
             if unit is not None and unit not in (known := QUANTITIES[quantity].suffixes):
@@ -73,7 +74,7 @@ class ImportSettings:
             raise InputError("--from-time and --until must be numbers: correct them")
 
     def check_used(self, path: Path, program: str, *used: str) -> None:
-        """Refuse the options of how a file is read that are not among those of this one."""
+        """Refuse options that are set, but not used (`used`) to read this file."""
         for option, default in _AS_READ.items():
             if option not in used and getattr(self, option) != default:
                 raise InputError(
@@ -82,18 +83,18 @@ class ImportSettings:
                 )
 
     def keeps(self, *names: str) -> bool:
-        """Whether what has these names becomes a part of the run."""
+        """Return whether data with these names become a part of the run."""
         wanted = not self.only or _matches(names, self.only)
         return wanted and not _matches(names, self.ignore)
 
     def check_patterns(self, names: Sequence[str]) -> None:
-        """Refuse a pattern that none of the names fits."""
+        """Refuse a pattern that matches none of the names."""
         for option in ("only", "ignore"):
             for pattern in getattr(self, option):
                 if not _matches(names, [pattern]):
                     raise InputError(
-                        f"--{option} {pattern} is not one of {some(names)}: correct the name; "
-                        "* stands for any letters"
+                        f"--{option} {pattern} is not one of {some(names)}: correct the name (* "
+                        "stands for any characters)"
                     )
 
 
@@ -106,12 +107,12 @@ def _matches(names: Sequence[str], patterns: Sequence[str]) -> bool:
 
 
 def some(names: Sequence[str]) -> str:
-    """The first of some names, for a sentence."""
+    """Return the first of some names as text for a sentence."""
     return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
 
 
 class ForeignColumn(NamedTuple):
-    """One column of a thing: its label beside the thing's name, its quantity, SI values (row,)."""
+    """One column of a thing: its label next to the thing's name, quantity, and SI values (row,)."""
 
     label: str
     quantity: str
@@ -120,14 +121,14 @@ class ForeignColumn(NamedTuple):
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """What another program recorded.
+    """The data that another program recorded.
 
     Attributes:
-        program: that wrote the file.
-        times: s, shape (row,), increasing; None where the file has none.
-        things: the columns of each tracked point, sensor or joint, by its name.
-        channels: what the file itself calls by the names of channels; SI, shape (row,).
-        merged: its rows are those of several clocks, so that each column has values at its own.
+        program: name of the program that wrote the file.
+        times: times, s, shape (row,), increasing; None if the file has none.
+        things: columns of each tracked point, sensor or joint, by its name.
+        channels: columns that already have names of channels in the file; SI, shape (row,).
+        merged: the rows come from several clocks, and a column has values only at its own times.
     """
 
     program: str
@@ -137,7 +138,7 @@ class ForeignTable:
     merged: bool = False
 
     def named(self, name: str) -> Sequence[ForeignColumn]:
-        """The columns of a thing, or the one that is called `thing label`; none otherwise."""
+        """Return the columns of a thing, or the one column named `thing label`, if any."""
         if name in self.things:
             return self.things[name]
         thing, _, label = name.rpartition(" ")
@@ -145,10 +146,10 @@ class ForeignTable:
 
 
 def placed(coordinates: Sequence[Numbers], axes: Sequence[str], what: str) -> list[ForeignColumn]:
-    """Coordinates (m) along axes of the base, of which one may be the other way round (`-y`).
+    """Return coordinates (m) as columns along axes of the base, which may be reversed (`-y`).
 
     Raises:
-        InputError: there are not as many axes as coordinates of `what`.
+        InputError: the number of axes differs from the number of coordinates of `what`.
     """
     if len(axes) != len(coordinates):
         raise InputError(
@@ -171,16 +172,21 @@ _ENDINGS = {
     "torque": "_torque",
 }
 _PARTS = {
-    "pixel": "which a camera does not show: name it link06, tip or mark01, and name the camera "
-    "with letters, digits and _",
-    "length": "for which no position is recorded: name it link06 or tip",
-    "angular_velocity": "for which no rates are recorded: name it imu06, or name one of its "
-    "columns joint01_rate",
-    "acceleration": "for which no acceleration is recorded: name it imu06",
-    "linear_acceleration": "but gravity has been removed from it, unlike in the signal of an "
-    "accelerometer: record the acceleration including gravity",
-    "angle": "for which no angle is recorded: name it joint01",
-    "torque": "for which no torque is recorded: name it joint01_torque",
+    "pixel": (
+        "which a camera cannot record: name it link06, tip or mark01, and use only letters, "
+        "digits and _ in the name of the camera"
+    ),
+    "length": "for which no position can be recorded: name it link06 or tip",
+    "angular_velocity": (
+        "for which no rates can be recorded: name it imu06, or name one of its columns joint01_rate"
+    ),
+    "acceleration": "for which no acceleration can be recorded: name it imu06",
+    "linear_acceleration": (
+        "but its signal does not contain gravity, unlike the signal of an accelerometer: record "
+        "the acceleration including gravity"
+    ),
+    "angle": "for which no angle can be recorded: name it joint01",
+    "torque": "for which no torque can be recorded: name it joint01_torque",
 }
 
 
@@ -190,18 +196,18 @@ def channels_of(
     camera: str | None = None,
     how: ImportSettings | None = None,
 ) -> dict[str, npt.NDArray[Any]]:
-    """The channels of what another program recorded, SI and px; NaN where nothing was found.
+    """Return the channels of recorded data, in SI and px; NaN where nothing was found.
 
     Arguments:
-        table: what it recorded.
-        parts: name of a thing, or of one of its columns (`Gyroscope z`) -> what it is: `link06`,
+        table: the recorded data.
+        parts: name of a thing, or of one of its columns (`Gyroscope z`) -> its meaning: `link06`,
             `tip`, `mark01`, `imu06`, `joint01`, or a channel. Others are left out.
-        camera: that filmed it; its name goes before those of pixels.
-        how: which channels are kept, and whose signs are changed.
+        camera: name of the camera, which is put in front of the names of pixel channels.
+        how: settings that select channels and change signs.
 
     Raises:
-        InputError: no such thing, a name that it cannot have, or one that is given twice; or
-            nothing is left.
+        InputError: a thing does not exist, cannot have the given meaning, or two have the same
+            one; or no channel is left.
     """
     how = how or ImportSettings()
     values = dict(table.channels)
@@ -261,13 +267,13 @@ def _channel_name(
 def rows_kept(
     table: ForeignTable, values: Mapping[str, npt.NDArray[Any]], how: ImportSettings
 ) -> tuple[Numbers | None, dict[str, npt.NDArray[Any]]]:
-    """Times (s) on the clock of the run, and channels, of the rows that are kept.
+    """Return times (s), with the offset added, and channels of the rows that are kept.
 
-    Of several clocks these are the rows at which a channel has a value; what drives the arm holds
-    its last one, and the first one before.
+    With several clocks, a row is kept if any channel has a value there. Inputs hold their last
+    value, and before the first one they have this first value.
 
     Raises:
-        InputError: no row is kept, or there are no times to choose by.
+        InputError: no row is kept, or rows are selected by time, but the file has no times.
     """
     if table.times is None:
         if how.offset or np.isfinite(how.from_time) or np.isfinite(how.until):

@@ -1,4 +1,4 @@
-"""Files of other programs, each known by its content: points that they tracked, and sensors."""
+"""Files of other programs, recognised by their content: tracked points and sensor data."""
 
 import csv
 import re
@@ -21,7 +21,7 @@ from ._channels import channel_of, parse_columns
 from ._foreign import ForeignColumn, ForeignTable, ImportSettings, Numbers, placed, some
 from ._table import csv_lines, csv_rows, numbers_of, ragged, split_cells
 
-_TOP = 12  # lines in which a header is looked for
+_TOP = 12  # number of lines in which a header is sought
 _SEPARATORS = (",", ";", "\t")
 
 
@@ -29,9 +29,9 @@ class Sheet:
     """A text file as rows of cells.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         head: cells of the first lines.
-        first: the line of the first row, once rows were read.
+        first: line number of the first row, after the rows were read.
     """
 
     def __init__(self, path: Path, data: bytes, separator: str) -> None:
@@ -41,7 +41,7 @@ class Sheet:
         self.head = _head(data, separator)
 
     def rows(self, above: int, width: int) -> "Rows":
-        """The cells of the lines below `above` lines, of which each has `width`."""
+        """Return the cells below the first `above` lines; each row must have `width` cells."""
         self.first = above + 1
         lines = self.lines[above:]
         empty = self.separator.encode() + b" "
@@ -49,11 +49,11 @@ class Sheet:
             lines.pop()
         if not lines:
             raise InputError(
-                f"{self.path} has a header but no rows: it must have at least one picture, so add "
-                f"the rows"
+                f"{self.path} has a header but no rows: it must have at least one row, so add the "
+                "rows"
             )
         first = csv_rows(lines[0], self.path, above + 1, self.separator)
-        stride = len(first[0]) if first else 0  # of an empty line there is none
+        stride = len(first[0]) if first else 0  # an empty line has no cells
         if stride < width:
             ragged(self.path, above + 1, stride, width)
         cells = split_cells(b"\n".join(lines), stride, self.path, above + 1, self.separator)
@@ -66,12 +66,12 @@ class Sheet:
         return rows
 
     def numbers(self, above: int, width: int, wanted: Mapping[int, str]) -> dict[int, Numbers]:
-        """Columns of numbers by their places; `wanted` has what errors call each."""
+        """Return columns of numbers by position; `wanted` gives the names for error messages."""
         return self.rows(above, width).numbers(wanted)
 
 
 class Rows(NamedTuple):
-    """Cells of text, row by row of `stride` cells each; the first row is line `first`."""
+    """Cells of text, row by row with `stride` cells each; the first row is line `first`."""
 
     path: Path
     cells: pl.Series
@@ -79,11 +79,11 @@ class Rows(NamedTuple):
     first: int
 
     def column(self, place: int) -> pl.Series:
-        """The cells of one column."""
+        """Return the cells of one column."""
         return self.cells.gather_every(self.stride, place)
 
     def numbers(self, wanted: Mapping[int, str]) -> dict[int, Numbers]:
-        """As `Sheet.numbers`; a comma in a number is a decimal comma."""
+        """Return numbers as `Sheet.numbers`; a comma in a number is a decimal comma."""
         rows = np.arange(len(self.cells) // self.stride)[:, None] * self.stride
         cells = self.cells.gather((rows + np.array([*wanted], dtype=int)).ravel())
         commas = cells.str.contains(",", literal=True).fill_null(False)
@@ -107,16 +107,16 @@ class Rows(NamedTuple):
 
 
 def _head(data: bytes, separator: str) -> list[list[str]]:
-    """The cells of the first lines."""
+    """Return the cells of the first lines."""
     return [_cells(line, separator) for line in data.split(b"\n", _TOP)[:_TOP]]
 
 
 def _cells(line: bytes, separator: str) -> list[str]:
-    """The cells of a line, without empty ones at its end: spreadsheets fill rows up."""
+    """Return the cells of a line without the empty cells that spreadsheets append."""
     text = line.decode(errors="replace")
     try:
         cells = [cell.strip() for cell in next(csv.reader([text], delimiter=separator), [])]
-    except csv.Error:  # said with its row, once it is known whose file it is
+    except csv.Error:  # reported with its row once the format of the file is known
         cells = text.split(separator)
     while cells and not cells[-1]:
         cells.pop()
@@ -124,11 +124,11 @@ def _cells(line: bytes, separator: str) -> list[str]:
 
 
 class AbstractFormat(ABC):
-    """The tables of one program: how they are known, and what their columns are.
+    """The tables of one program: how to recognise them, and what their columns mean.
 
     Attributes:
-        program: that writes them.
-        form: what one looks like, for whoever has another.
+        program: name of the program that writes the tables.
+        form: description of such a table, for error messages.
     """
 
     program: ClassVar[str]
@@ -136,14 +136,14 @@ class AbstractFormat(ABC):
 
     @abstractmethod
     def recognises(self, head: Sequence[Sequence[str]], how: ImportSettings) -> bool:
-        """Whether a file begins as one of this program."""
+        """Return whether the first lines are those of a file of this program."""
 
     @abstractmethod
     def read(self, sheet: Sheet, how: ImportSettings) -> ForeignTable:
-        """What is in it."""
+        """Read the contents of a file."""
 
     def counted(self, sheet: Sheet, how: ImportSettings, frames: Numbers) -> Numbers:
-        """Times, s, of the numbers of pictures."""
+        """Convert frame numbers to times, s."""
         if how.frame_rate is None:
             raise InputError(
                 f"{sheet.path}: {self.program} gives frame numbers instead of times: give "
@@ -153,22 +153,23 @@ class AbstractFormat(ABC):
         return self.increasing(sheet, frames / how.frame_rate)
 
     def timed(self, sheet: Sheet, how: ImportSettings, times: Numbers) -> Numbers:
-        """Times, s, or those of the same pictures at the rate that is given instead."""
+        """Return the times, s, or the times of the same frames at the given frame rate."""
         times = self.increasing(sheet, times)
         if how.frame_rate is None or len(times) < 2:
             return times
         steps = np.diff(times)
-        steps /= np.mean(steps[steps < 1.5 * np.min(steps)])  # others leave pictures out
+        steps /= np.mean(steps[steps < 1.5 * np.min(steps)])  # longer steps skip frames
         if np.any(np.abs(steps - np.round(steps)) > 0.25):  # stamps are rounded to milliseconds
             raise InputError(
-                f"{sheet.path}: the times are not evenly spaced frame numbers: omit --frame-rate"
+                f"{sheet.path}: the times are not multiples of a constant frame interval: omit "
+                "--frame-rate"
             )
         frames = np.concatenate([[0.0], np.cumsum(np.round(steps))])
         first = np.round(times[0] / ((times[-1] - times[0]) / frames[-1]))
         return (first + frames) / how.frame_rate
 
     def increasing(self, sheet: Sheet, times: Numbers) -> Numbers:
-        """The times, s, if they are those of rows that follow each other."""
+        """Return the times, s, after a check that they increase from row to row."""
         steps = np.diff(times)
         bad = np.flatnonzero(~np.isfinite(times) | np.append(False, steps <= 0))
         if bad.size:
@@ -187,28 +188,28 @@ class AbstractFormat(ABC):
         return times
 
     def unit(self, sheet: Sheet, how: ImportSettings, *, pixels: bool = True) -> str:
-        """The unit of coordinates whose file does not say it, `px` with a given origin."""
+        """Return the unit of coordinates whose file does not give it: `px` if an origin is set."""
         if pixels and how.origin is not None:
             return "px"
         if how.unit is None:
             upwards = (
-                ", or, for px that are counted upwards, --origin U,V, the position of their "
-                "origin in the picture"
+                ", or, for pixels that are counted upwards, --origin U,V, the position of their "
+                "origin in the image"
             )
             raise InputError(
-                f"{sheet.path}: {self.program} does not state the unit of its coordinates: give "
+                f"{sheet.path}: {self.program} does not give the unit of its coordinates: give "
                 f"--unit m, cm or mm{upwards if pixels else ''}"
             )
         return how.unit
 
 
 def _plane(how: ImportSettings) -> tuple[str, ...]:
-    """The options of coordinates that are counted upwards: of px, or of lengths."""
+    """Return the options that apply to coordinates counted upwards, in px or as lengths."""
     return ("unit", "axes") if how.origin is None else ("origin",)
 
 
 class _Points:
-    """Coordinates as they are found in a file: by the name of the point and of the coordinate."""
+    """Coordinates found in a file, by the name of the point and of the coordinate."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -226,7 +227,7 @@ class _Points:
     def things(
         self, how: ImportSettings, unit: str, axes: Sequence[str] = ("x", "z")
     ) -> dict[str, list[ForeignColumn]]:
-        """The points as columns: pixels, or lengths along axes of the base."""
+        """Return the points as columns: pixels, or lengths along axes of the base."""
         return {
             name: list(self._columns(name, found, how, unit, how.axes or axes))
             for name, found in self.found.items()
@@ -246,7 +247,7 @@ class _Points:
                 f"{self.path}: {shown(name)} has no columns x and y: export the file again with "
                 "both"
             )
-        # Not found, where it does not say how likely.
+        # A point without a likelihood counts as not found if the file gives likelihoods.
         likely = [np.nan_to_num(found[kind]) for kind in ("likelihood", "score") if kind in found]
         good = likely[0] >= how.likelihood if likely else True
         x, y, *_ = values = [np.where(good, found[letter], np.nan) for letter in coordinates]
@@ -261,7 +262,7 @@ class _Points:
 
 
 class DeepLabCut(AbstractFormat):
-    """A CSV file of DeepLabCut, of a film or of points in space that two films gave."""
+    """A CSV file of DeepLabCut, with points in an image or triangulated points in space."""
 
     program = "DeepLabCut"
     form = "the rows scorer, bodyparts and coords"
@@ -287,7 +288,7 @@ class DeepLabCut(AbstractFormat):
         for place, (name, coordinate) in places:
             points.add(name, coordinate, table[place])
         deep = header["coords"].count("z") == len(points.found)
-        # Its pixels are counted downwards, as those of a picture.
+        # DeepLabCut counts pixels downwards, as image coordinates do.
         space = ("unit", "axes") if deep else ()
         how.check_used(sheet.path, self.program, "frame_rate", "likelihood", *space)
         unit = self.unit(sheet, how, pixels=False) if deep else "px"
@@ -296,7 +297,7 @@ class DeepLabCut(AbstractFormat):
 
 
 class Sleap(AbstractFormat):
-    """An analysis file of SLEAP as CSV: a row for each track and picture."""
+    """An analysis file of SLEAP as CSV, with a row for each track and frame."""
 
     program = "SLEAP"
     form = "the columns track, frame_idx, name.x, name.y and name.score"
@@ -314,7 +315,7 @@ class Sleap(AbstractFormat):
         frame, track = header.index("frame_idx"), header.index("track")
         labels = {frame: "frame_idx", **{place: header[place] for place in kinds}}
         table = rows.numbers(labels)
-        order = np.arange(len(table[frame]), dtype=float)  # as tracks follow each other, too
+        order = np.arange(len(table[frame]), dtype=float)  # frame numbers restart with each track
         self.increasing(sheet, np.where(np.isnan(table[frame]), np.nan, order))
         frames, at = np.unique(table[frame], return_inverse=True)
         tracks = np.array(rows.column(track).fill_null("").to_list())
@@ -323,8 +324,8 @@ class Sleap(AbstractFormat):
             of = np.flatnonzero(tracks == name)
             if len(np.unique(at[of])) < len(of):
                 raise InputError(
-                    f"{sheet.path}: the track {shown(name)} has two instances in one picture: "
-                    f"track the instances, or keep only one in each picture"
+                    f"{sheet.path}: the track {shown(name)} has two instances in one frame: track "
+                    "the instances, or keep only one in each frame"
                 )
             for place, (node, _, coordinate) in kinds.items():
                 values = np.full(len(frames), np.nan)
@@ -336,7 +337,7 @@ class Sleap(AbstractFormat):
 
 
 class Anipose(AbstractFormat):
-    """Points in space that anipose triangulated, as CSV."""
+    """A CSV file of points in space that anipose triangulated."""
 
     program = "anipose"
     form = "the columns name_x, name_y, name_z, name_error and fnum"
@@ -363,7 +364,7 @@ class Anipose(AbstractFormat):
 
 
 class Kinovea(AbstractFormat):
-    """Trajectories of Kinovea as CSV: coordinates from its own origin, upwards."""
+    """A CSV file of trajectories from Kinovea, with coordinates counted upwards from its origin."""
 
     program = "Kinovea"
     form = "the columns Time, name/point/X and name/point/Y"
@@ -396,7 +397,7 @@ class Kinovea(AbstractFormat):
 
 
 class KinoveaText(AbstractFormat):
-    """Trajectories of Kinovea as text for gnuplot: one below the other."""
+    """A gnuplot text file of trajectories from Kinovea, one below the other."""
 
     program = "Kinovea"
     form = "the line #Kinovea Trajectory data export"
@@ -423,7 +424,7 @@ class KinoveaText(AbstractFormat):
                 tracks[-1][1][number] = cells
         if not tracks:
             raise InputError(
-                f"{sheet.path} has no rows: it must have at least one picture, so add the rows"
+                f"{sheet.path} has no rows: it must have at least one row, so add the rows"
             )
         found = []
         for name, rows in tracks:
@@ -444,7 +445,7 @@ class KinoveaText(AbstractFormat):
 
 
 class Tracker(AbstractFormat):
-    """Data of Tracker: the names of the tracks, then t and the columns of each."""
+    """A data file of Tracker: a row of track names, then t and the columns of each track."""
 
     program = "Tracker"
     form = "a row of tracks above the row t, x, y"
@@ -454,7 +455,7 @@ class Tracker(AbstractFormat):
 
     @staticmethod
     def _header(head: Sequence[Sequence[str]]) -> int | None:
-        """The line of the columns: the first, or below that of names, or `#multi:` above both."""
+        """Return the line of column names, which may be below a row of names and `#multi:`."""
         for line, row in enumerate(head[:3]):
             if row[:1] == ["t"] and ({"x", "y"} <= {*row} or {"pixelx", "pixely"} <= {*row}):
                 return line
@@ -485,13 +486,13 @@ class Tracker(AbstractFormat):
         measured = points.found and (how.unit or how.origin or not pixels.found)
         how.check_used(sheet.path, self.program, "frame_rate", *(_plane(how) if measured else ()))
         things = points.things(how, self.unit(sheet, how)) if measured else {}
-        # Those are counted from the upper left corner, wherever the origin is.
+        # Pixel columns are counted from the upper left corner, regardless of the origin.
         things |= pixels.things(ImportSettings(), "px")
         return ForeignTable(self.program, self.timed(sheet, how, table[0]), things)
 
 
 class Motive(AbstractFormat):
-    """A take of OptiTrack Motive as CSV: markers and rigid bodies in space, y upwards."""
+    """A CSV file of an OptiTrack Motive take: markers and rigid bodies in space, y upwards."""
 
     program = "OptiTrack Motive"
     form = "Format Version first, and the row Frame, Time (Seconds), X, Y, Z"
@@ -507,7 +508,7 @@ class Motive(AbstractFormat):
                 f"{sheet.path} is not a file of {self.program}: it must have {self.form}"
             )
         axes, parts = sheet.head[line], sheet.head[line - 1]
-        # Between versions there are more rows or fewer; those that say what they are count.
+        # The number of header rows depends on the version, so labelled rows take precedence.
         said = {label: row for row in sheet.head[1:line] for label in row[:2] if label}
         types = said.get("Type", sheet.head[line - 4])
         names = said.get("Name", sheet.head[line - 3])
@@ -524,7 +525,7 @@ class Motive(AbstractFormat):
             for place in places
         }
         labels = {place: f"{called[place]} {axes[place]}" for place in places}
-        # The last column may be an error, which has no axis.
+        # The last column may be a marker error, which has no axis.
         width = max(map(len, (axes, parts, names)))
         table = sheet.numbers(line + 1, width, {0: "Frame", 1: "Time (Seconds)", **labels})
         points = _Points(sheet.path)
@@ -543,7 +544,7 @@ class Motive(AbstractFormat):
 
 
 class Phyphox(AbstractFormat):
-    """What phyphox recorded with the sensors of a telephone: columns that say their unit."""
+    """Smartphone sensor data recorded by phyphox, with the unit in each column name."""
 
     program = "phyphox"
     form = 'the columns Time (s), "Gyroscope x (rad/s)" or "Acceleration x (m/s^2)"'
@@ -570,13 +571,13 @@ class Phyphox(AbstractFormat):
         if header.count(header[0]) > 1:
             raise InputError(
                 f"{sheet.path} has the column {header[0]!r} {header.count(header[0])} times: put "
-                "the columns of each into a file of their own"
+                "the columns of each recording into a separate file"
             )
         cells = {p: m for p, cell in enumerate(header) if (m := self._cell.fullmatch(cell))}
         found = {p: m for p, m in cells.items() if m["unit"] in self._quantities}
         labels = {0: header[0], **{place: header[place] for place in found}}
         table = sheet.numbers(1, len(header), labels)
-        timed = np.isfinite(table[0])  # the shorter of two series is filled up with NaN
+        timed = np.isfinite(table[0])  # the shorter of two series is padded with NaN
         lost = ~timed & np.any([np.isfinite(table[place]) for place in found], axis=0)
         self.increasing(sheet, np.where(lost, np.nan, np.arange(float(len(lost)))))
         things: dict[str, list[ForeignColumn]] = {}
@@ -590,7 +591,7 @@ class Phyphox(AbstractFormat):
 
 
 class ColumnTable(AbstractFormat):
-    """A table whose first row names channels, whatever stands between its cells."""
+    """A table whose first row contains channel names, with any separator between cells."""
 
     program = "a spreadsheet"
     form = "a first row with column names such as time_s and link06_z_mm, or --rename"
@@ -605,8 +606,7 @@ class ColumnTable(AbstractFormat):
             if old not in header:
                 raise InputError(
                     f"--rename {old}={how.rename[old]}: {sheet.path} has no column {old!r}, but "
-                    f"has "
-                    f"{some(header)}: correct the name"
+                    f"has {some(header)}: correct the name"
                 )
         names = [how.rename.get(cell, cell) for cell in header]
         times = {place for place, name in enumerate(names) if name in ("time_s", "time_ms")}
@@ -650,7 +650,7 @@ FORMATS: tuple[AbstractFormat, ...] = (
     Phyphox(),
     ColumnTable(),
 )
-"""What `read_foreign` looks for, in this order."""
+"""The formats that `read_foreign` tries, in this order."""
 
 
 def read_foreign(
@@ -658,12 +658,12 @@ def read_foreign(
     how: ImportSettings | None = None,
     formats: Sequence[AbstractFormat] = FORMATS,
 ) -> ForeignTable:
-    """Read what another program recorded, by the content of its file, or a bag of ROS 2.
+    """Read a file of another program, recognised by its content, or a bag of ROS 2.
 
     Cells are separated by commas, semicolons or tabs; numbers have a decimal point or comma.
 
     Raises:
-        InputError: the file is of none of the formats, or is damaged.
+        InputError: the file has none of the formats, or is damaged.
     """
     path, how = Path(path), how or ImportSettings()
     if is_bag(path):
@@ -694,7 +694,5 @@ def read_foreign(
     known = "; ".join(f"{each.program} ({each.form})" for each in formats)
     raise InputError(
         f"{path} is in none of the formats that can be read: {known}; ROS 2 (a folder, .mcap or "
-        f".db3): "
-        "export it "
-        "as one of these"
+        ".db3): export it as one of these"
     )

@@ -1,6 +1,6 @@
-"""Which cells of runs are held out of a fit: whole runs or channels, or a last span of time.
+"""Hold data out of a fit: whole runs, whole channels, or the last part of the recordings.
 
-How they are judged, once the others are fitted, is said in `giajax.fitting`.
+`giajax.fitting` compares the held-out data with the prediction of the fitted model.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from ..runtime.text import InputError
 from ._run import Run
 
 SHARE = 0.2
-"""Of the time of a recording that `last` holds out."""
+"""Fraction of the duration of a recording that `last` holds out."""
 
 _LAST = re.compile(r"last(?::(.*))?", re.IGNORECASE)
 
@@ -22,10 +22,10 @@ _NUMBER = re.compile(r"[0-9]*\.?[0-9]+")
 
 @dataclasses.dataclass(frozen=True)
 class SplitRun:
-    """A run with the part of it that is fitted and the part that is held out, where there is one.
+    """A run and its fitted and held-out parts, each None if it is empty.
 
-    Both parts have the times and the inputs of the whole, NaN for the cells of the other part, and
-    no channel without a cell of their own.
+    Both parts have the times and inputs of the whole run. The cells of the other part are NaN, and
+    channels without any cell in a part are left out of it.
     """
 
     whole: Run
@@ -34,25 +34,26 @@ class SplitRun:
 
     @property
     def held_from(self) -> dict[str, int]:
-        """By channel of the held part, its first sample with a value."""
+        """First sample with a value of each channel in the held-out part."""
         cells = {} if self.held is None else self.held.observations
         return {name: int(np.argmax(~np.isnan(values))) for name, values in cells.items()}
 
 
 def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
-    """Take what is named out of runs.
+    """Split runs into a fitted and a held-out part.
 
     Arguments:
-        runs: those of a fit, or their windows.
-        names: of runs, of channels (in all runs), or `last`: the last fifth of each recording by
-            time, `last:0.3` another share of it. Where samples have no time, the last of them.
+        runs: the runs of a fit, or their windows.
+        names: names of runs or of channels (in all runs), or `last`: the last fifth of the duration
+            of each recording; `last:0.3` holds out another fraction. If the samples have no times,
+            it is this fraction of the samples.
 
     Returns:
         The parts of each run.
 
     Raises:
-        InputError: a name that is nothing of this, or two things at once; one that holds no
-            measured value; or names that leave nothing to fit.
+        InputError: a name is unknown or ambiguous, or holds out no measured value; or no data are
+            left to fit.
     """
     held_from: list[dict[str, int]] = [{} for _ in runs]
     for name in names:
@@ -67,14 +68,14 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
     parts = [split_run(run, first) for run, first in zip(runs, held_from, strict=True)]
     if all(part.fitted is None for part in parts):
         raise InputError(
-            f"{', '.join(names)} contains all measured values, so none is left to fit: hold out "
-            "less"
+            f"the held-out data ({', '.join(names)}) contain all measured values, so none is left "
+            "to fit: hold out less"
         )
     return tuple(parts)
 
 
 def split_run(run: Run, held_from: Mapping[str, int]) -> SplitRun:
-    """A run in two parts, by the first sample of each channel that is held out, if one is."""
+    """Split a run at the first held-out sample of each channel; others are fitted entirely."""
     masks = {
         name: np.arange(len(values)) >= held_from.get(name, len(values))
         for name, values in run.observations.items()
@@ -84,7 +85,7 @@ def split_run(run: Run, held_from: Mapping[str, int]) -> SplitRun:
 
 
 def _cells(run: Run, kept: Mapping[str, np.ndarray]) -> Run | None:
-    """The run with some of its cells alone, and only channels that have any."""
+    """Return the run with only the kept cells, and only channels that have any; None if empty."""
     values = {}
     for name, mask in kept.items():
         cells = run.values[name]
@@ -95,21 +96,21 @@ def _cells(run: Run, kept: Mapping[str, np.ndarray]) -> Run | None:
             values[name] = cells
     if not values:
         return None
-    # A run of which no channel is left out is fitted as it would be without any hold-out.
+    # If no channel is left out, the run is fitted as it would be without held-out data.
     observed = run.observed if len(values) == len(kept) else tuple(values)
-    # A channel that is left out keeps its cells, from which the initial state may come.
+    # A channel that is left out keeps its values, because they may give the initial state.
     return dataclasses.replace(run, values={**run.values, **values}, observed=observed)
 
 
 def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
-    """By run and channel, the first sample that a name holds out."""
+    """Return the first sample that a name holds out, for each run and channel."""
     named = [run for run in runs if name in (run.name, run.recording)]
     measured = [run for run in runs if name in run.observations]
     last = _LAST.fullmatch(name)
     if bool(named) + bool(measured) + (last is not None) > 1:
         raise InputError(
-            f"'{name}' is to be held out, but more than one of a run, a channel and the last "
-            f"samples have this name: rename the run or its file"
+            f"'{name}' is to be held out, but this name refers to more than one of a run, a "
+            "channel and the last samples: rename the run or its file"
         )
     if len({run.path or id(run) for run in named}) > 1:
         raise InputError(
@@ -121,8 +122,8 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
             share = float(last[1])
         if not 0 < share < 1:
             raise InputError(
-                f"'{name}' is to be held out, but does not state a valid fraction: write it as "
-                f"last:0.3, with a number between 0 and 1"
+                f"'{name}' is to be held out, but does not give a valid fraction: write it as "
+                "last:0.3, with a number between 0 and 1"
             )
         return _last(runs, share)
     if named or measured:
@@ -139,7 +140,10 @@ def _first_rows(name: str, runs: Sequence[Run]) -> list[dict[str, int]]:
 
 
 def _last(runs: Sequence[Run], share: float) -> list[dict[str, int]]:
-    """The last part of each recording, whichever windows it was cut into."""
+    """Return the first held-out samples if the last part of each recording is held out.
+
+    The fraction refers to the whole recording, even if it is cut into windows.
+    """
     ends: dict[object, tuple[float, float]] = {}
     for run in runs:
         if run.times is not None:
@@ -153,7 +157,7 @@ def _last(runs: Sequence[Run], share: float) -> list[dict[str, int]]:
             first = count - round(share * count)
         else:
             start, end = ends[run.path or id(run)]
-            # A sample at the very end of the first part belongs to it, whatever its last digit.
+            # A sample exactly at the end of the first part belongs to it, despite rounding errors.
             instant = end - (share - 1e-9) * (end - start)
             first = int(np.searchsorted(run.times, instant, side="right"))
         rows.append(dict.fromkeys(run.observations, first))

@@ -1,4 +1,4 @@
-"""Mistakes that people make with columns: one list, which checks and suspects undo alike."""
+"""Common mistakes in columns: one list for the checks of recordings and for the suspects."""
 
 import dataclasses
 import itertools
@@ -12,8 +12,8 @@ from ._plausible_columns import TURN, Look, number_of_links
 from ._run import Run
 
 _AXES = "xyz"
-_DEGREES = float(np.rad2deg(1.0))  # of a radian
-_MOST_JOINTS = 40  # of which a command may be, each of which takes a simulation
+_DEGREES = float(np.rad2deg(1.0))  # degrees per radian
+_MOST_JOINTS = 40  # limit on the candidate joints of a command, because each takes a simulation
 
 
 MistakeKind = Literal["axes", "exchanged", "numbers", "lengths", "angles", "commands"]
@@ -21,15 +21,16 @@ MistakeKind = Literal["axes", "exchanged", "numbers", "lengths", "angles", "comm
 
 @dataclasses.dataclass(frozen=True)
 class Mistake:
-    """Columns that are not what their names say.
+    """A mistake in the names or units of columns.
 
     Attributes:
-        code: what an `Oddity` of it has: "units", "signs", "labels" or "command".
-        words: what is wrong, such as `y and z swapped`.
-        remedy: an edit or an option.
-        sources: by the name of a channel, the one that its cells are of, and how many times it.
-        kind: what is meant: the axes of positions, two points that are exchanged, the numbers of
-            links, the unit of positions or of joint angles, or commands.
+        code: code of the `Oddity`: "units", "signs", "labels" or "command".
+        words: description of the mistake, such as `y and z swapped`.
+        remedy: an edit or an option that corrects it.
+        sources: channel name -> the channel that its column really contains, and the factor by
+            which the column differs from that channel.
+        kind: the axes of positions, two exchanged points, the numbers of links, the unit of
+            positions or of joint angles, or commands.
     """
 
     code: str
@@ -40,11 +41,11 @@ class Mistake:
 
     @property
     def name(self) -> str:
-        """As a suspect: `axes: y and z swapped`."""
+        """Name of the mistake as a suspect: `axes: y and z swapped`."""
         return f"{'axes' if self.kind == 'axes' else 'columns'}: {self.words}"
 
     def undone(self, run: Run) -> Run:
-        """The run as it would be without the mistake."""
+        """Return the run with the mistake corrected."""
         there = {name: of for name, of in self.sources.items() if name in run.values}
         kept = {name: values for name, values in run.values.items() if name not in there}
         values = kept | {of: run.values[name] / times for name, (of, times) in there.items()}
@@ -62,11 +63,11 @@ class Mistake:
 
 
 def mistakes(runs: Sequence[Run], links: int | None = None) -> list[Mistake]:
-    """Those that would change what these runs record, of each kind those that change least first.
+    """Return the mistakes that can affect these runs, within each kind the smallest change first.
 
     Arguments:
-        runs: of one experiment or several.
-        links: number of those of the arm, if it is not as the runs say.
+        runs: runs of one or more experiments.
+        links: number of links of the arm, if it differs from that in the runs.
 
     Example:
         >>> import giajax
@@ -97,7 +98,7 @@ def mistakes(runs: Sequence[Run], links: int | None = None) -> list[Mistake]:
         *(
             each
             for each in _units(commands, "commands")
-            # Nobody commands a joint to turn round.
+            # A joint command never exceeds about half a turn.
             if all(most <= TURN * each.sources[name][1] for name, most in sizes.items())
         ),
         *_units({n: c for n, c in measured.items() if c.kind == "joint_angle"}, "angles"),
@@ -109,7 +110,7 @@ def mistakes(runs: Sequence[Run], links: int | None = None) -> list[Mistake]:
 
 
 def point_of(channel: Channel) -> str | None:
-    """The recorded point that a channel is a coordinate of: `link06`; None for no position."""
+    """Return the recorded point of a coordinate, such as `link06`; None for other channels."""
     if channel.component is None or channel.quantity != "length":
         return None
     return channel.name.removesuffix(f"_{_AXES[channel.component]}")
@@ -145,9 +146,10 @@ def _lengths(measured: Mapping[str, Channel]) -> Iterator[Mistake]:
 
 
 def _axes(measured: Mapping[str, Channel], *, every: bool) -> Iterator[Mistake]:
-    """Orders and signs of axes that differ in what is recorded.
+    """Yield permutations and sign changes of axes that affect the recorded coordinates.
 
-    One that is recorded alone may be another one of an arm; who knows what another model has.
+    A single recorded axis of an arm may really be any of the three axes. For other models only the
+    recorded axes are permuted.
     """
     points = {name: point for name, each in measured.items() if (point := point_of(each))}
     axis = {name: measured[name].component or 0 for name in points}
@@ -163,7 +165,7 @@ def _axes(measured: Mapping[str, Channel], *, every: bool) -> Iterator[Mistake]:
         moved = sum(of != c for c, (of, _) in way.items())
         return moved + sum(sign < 0 for _, sign in way.values()), moved
 
-    # The first one is none.
+    # The first candidate changes nothing.
     for way in sorted(ways, key=changes)[1:]:
         moved = [c for c, (of, _) in way.items() if of != c]
         turned = [_AXES[c] for c, (_, sign) in way.items() if sign < 0]
@@ -189,7 +191,7 @@ def _axes(measured: Mapping[str, Channel], *, every: bool) -> Iterator[Mistake]:
 
 
 def _labels(measured: Mapping[str, Channel], count: int | None) -> Iterator[Mistake]:
-    """Other numbers of the recorded links: two exchanged, off by one, counted from the tip."""
+    """Yield other numberings of the links: two exchanged, shifted by one, or from the tip."""
     places: dict[str, list[Channel]] = {}
     for channel in measured.values():
         if channel.kind in ("link_position", "tip_position"):
@@ -221,9 +223,10 @@ def _labels(measured: Mapping[str, Channel], count: int | None) -> Iterator[Mist
 def _commands(
     commands: Mapping[str, Channel], given: Mapping[str, Channel], count: int | None
 ) -> Iterator[Mistake]:
-    """Signs of commands, and commands of other joints: of those that move, among all.
+    """Yield opposite signs of commands, and commands that belong to other joints.
 
-    A command that is zero throughout has the place of the one that takes its.
+    Only commands that change are reassigned, to any joint. If that joint has a command, the two
+    are exchanged.
     """
     for name, channel in commands.items():
         yield Mistake(

@@ -1,8 +1,8 @@
-"""A Parquet file as a header and columns, once its metadata say that it fits the memory.
+"""Read a Parquet file as a header and columns, after a check of its size in memory.
 
-The files and their metadata: https://github.com/apache/parquet-format; the metadata are in
-Thrift's compact protocol. Sizes that a footer states can be untrue, those before each page are
-what a reader goes by.
+The format of files and metadata: https://github.com/apache/parquet-format. The metadata are encoded
+in Thrift's compact protocol. Sizes in a footer can be false. A reader allocates memory according to
+the sizes in the page headers, so these are checked.
 """
 
 import io
@@ -15,23 +15,24 @@ import polars as pl
 from ..runtime.limits import CELL_BYTES, DEPTH, PARQUET_BYTES, PARQUET_FOOTER_BYTES
 from ..runtime.text import InputError
 
-# Pages, and bytes before each: more than any program makes of a file within the limits.
+# Limits on the number of pages, the size of a page header, and the size of all page headers. Files
+# within the other limits stay far below them.
 _PAGES, _PAGE_HEAD, _PAGE_HEADS = 100_000, 1 << 16, 1 << 22
 
-# Fields of a page (it has values, is a dictionary, or has values of the second version), and that
-# of the encoding in each. Of texts by the prefix that they share with the one before, a page of a
-# few bytes may hold any size.
+# Field numbers in a page header (data, dictionary, or data of version 2) and of its encoding. An
+# encoding of strings by the prefix shared with the previous string is refused, because a page of a
+# few bytes can then expand to any size.
 _KINDS, _PREFIXED = {5: 2, 7: 2, 8: 4}, 7
 
-# Of a cell in memory: a number, and what Python needs for a text.
+# Bytes of a cell in memory: of a number, and of the overhead of a Python string.
 _NUMBER_BYTES, _TEXT_BYTES = 8, 64
 
 
 def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], int]:
-    """Header, columns, and the number of the first sample.
+    """Return header, columns, and the number of the first sample.
 
     Raises:
-        InputError: the data are not a Parquet file of numbers and texts within the limits.
+        InputError: the data are not a Parquet file of numbers and strings within the limits.
     """
     footer = int.from_bytes(data[-8:-4], "little")
     if data[-4:] == b"PAR1" and PARQUET_FOOTER_BYTES < footer < len(data):
@@ -41,25 +42,22 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
         )
     try:
         rows, unpacked = _rows(data)
-        # What would fill the memory is refused before it is unpacked.
+        # Check the size before decompression, so that the file cannot fill the memory.
         _check_parquet(pl.read_parquet_schema(io.BytesIO(data)), rows, unpacked, path)
         frame = pl.read_parquet(io.BytesIO(data))
     except InputError:
         raise
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError, ValueError):
-        raise InputError(
-            f"{path} is not a Parquet file: it must be one, so export it again"
-        ) from None
+        raise InputError(f"{path} is not a valid Parquet file: export it again") from None
     for series in frame:
         if series.dtype in (pl.String, pl.Categorical):
-            # Of categories each text is there once, until the column is made of texts.
+            # A categorical column stores each string once, but is later converted to strings.
             texts = series.str if series.dtype == pl.String else series.cat
             longest = cast("int | None", texts.len_bytes().max()) or 0
             if longest <= CELL_BYTES and len(series) * (_TEXT_BYTES + longest) > PARQUET_BYTES:
                 raise InputError(
                     f"{path}: the strings of column {series.name!r} may have {PARQUET_BYTES:,} "
-                    f"bytes "
-                    "at most: shorten them"
+                    "bytes at most: shorten them"
                 )
             if longest > CELL_BYTES:
                 raise InputError(
@@ -79,24 +77,24 @@ def _check_parquet(schema: Mapping[str, pl.DataType], rows: int, unpacked: int, 
     size = max(rows * row, unpacked)
     if size > PARQUET_BYTES:
         raise InputError(
-            f"{path} has {size:,} bytes when it is decompressed, but may have {PARQUET_BYTES:,} at "
+            f"{path} has {size:,} bytes after decompression, but may have {PARQUET_BYTES:,} at "
             "most: shorten it"
         )
 
 
 def _rows(data: bytes) -> tuple[int, int]:
-    """Rows of a Parquet file, and the bytes that its pages have unpacked.
+    """Return the number of rows of a Parquet file and the size of its decompressed pages.
 
     Raises:
-        ValueError: it is not such a file.
+        ValueError: the data are not a valid Parquet file.
     """
     length = int.from_bytes(data[-8:-4], "little")
     if data[-4:] != b"PAR1" or data[:4] != b"PAR1" or not 0 < length <= len(data) - 12:
         raise ValueError("no footer")
     try:
         footer, _ = _table(data[-8 - length : -8], 0, DEPTH)
-        # Room is made for as many cells as any of these says, and a negative number is a huge one.
-        # Polars reads groups of columns by recursion: a deep one would end the process.
+        # A reader allocates memory for the largest of these counts, and treats a negative number
+        # as a huge one. Polars reads nested groups by recursion, so deep nesting would crash it.
         open_groups: list[int] = []
         for element in footer[2]:
             open_groups.append(element.get(5) or 0)
@@ -141,7 +139,7 @@ def _rows(data: bytes) -> tuple[int, int]:
 
 
 def _number(data: bytes, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, and where it ends."""
+    """Decode a number stored as seven bits per byte; return it and the position after it."""
     found = 0
     for shift in range(0, 70, 7):
         byte = data[at]
@@ -158,7 +156,7 @@ def _signed(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
-    """What stands at a place; text and floating numbers, which say no size, are left out."""
+    """Decode a value and return it with the position after it; strings and floats become None."""
     if at >= len(data) or depth < 0:
         raise ValueError("a value beyond the end of the metadata, or nested too deeply")
     if kind == 3:
@@ -186,7 +184,7 @@ def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Any, int]:
 
 
 def _table(data: bytes, at: int, depth: int) -> tuple[dict[int, Any], int]:
-    """Values by the numbers of their fields, and where they end."""
+    """Return values by field number, and the position after them."""
     found: dict[int, Any] = {}
     field = 0
     while (head := data[at]) != 0:

@@ -1,7 +1,7 @@
-"""What is odd in a run, and what the arm at its commands says of it: signs, labels, frames, units.
+"""Check a run for implausible data, also by comparison with the arm at its commanded angles.
 
-Each check is a function of `_CHECKS`; what needs no commands is in `_plausible_columns`
-and `_plausible_constants`.
+Each check is a function in `_CHECKS`. Checks that need no commands are in `_plausible_columns` and
+`_plausible_constants`.
 """
 
 import dataclasses
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..runtime.text import one_of
 from ..schema import (
     BASE,
     BUOYANCY,
@@ -41,7 +40,7 @@ from ._run import Run
 
 
 def oddities(run: Run) -> list[Oddity]:
-    """What is odd in a run; nothing of most right recordings.
+    """Return the implausible features of a run; most correct recordings have none.
 
     Example:
         >>> import giajax
@@ -54,7 +53,7 @@ def oddities(run: Run) -> list[Oddity]:
     return [odd for check in _CHECKS for odd in check(look)]
 
 
-# How a motion begins.
+# Initial states.
 
 
 def _is_blown(look: Look) -> bool:
@@ -63,7 +62,7 @@ def _is_blown(look: Look) -> bool:
 
 
 def _at_equilibrium(look: Look) -> Iterator[Oddity]:
-    """A free motion that the model begins where nothing moves."""
+    """Report a free motion that the model would start at an equilibrium."""
     if look.run.model != "arm" or look.run.commands or _is_blown(look):
         return
     initial, arm = look.section(InitialSection), look.section(ArmSection)
@@ -76,19 +75,19 @@ def _at_equilibrium(look: Look) -> Iterator[Oddity]:
     if moving:
         yield Oddity(
             "start",
-            f"{moving[0]} moves, but without a stated [initial] state a free motion starts at the "
+            f"{moving[0]} moves, but without a state in [initial] a free motion starts at the "
             "equilibrium, where nothing moves",
-            "state first_row = true in [initial], and free = true where angles are not recorded, "
-            "or angle_deg and rate_deg_per_s",
+            "set first_row = true in [initial], and also free = true if angles are not recorded, "
+            "or set angle_deg and rate_deg_per_s",
             tuple(moving),
         )
 
 
-_MOVES = 0.15  # of the whole motion that is too much before it can begin
+_MOVES = 0.15  # fraction of the whole motion that is implausible before the first command change
 
 
 def _before_commands(look: Look) -> Iterator[Oddity]:
-    """Motion before any command, or first rows that move, where rest is assumed."""
+    """Report motion before the commands change if the arm is assumed to start at rest."""
     if look.run.model != "arm" or look.times is None or not look.run.commands or _is_blown(look):
         return
     initial = look.section(InitialSection)
@@ -104,34 +103,36 @@ def _before_commands(look: Look) -> Iterator[Oddity]:
         if drift > max(_MOVES * cells.span, 6 * cells.noise):
             moving.append(name)
     if moving:
+        more = f"{moving[0]} and {len(moving) - 1} more"
         yield Oddity(
             "start",
-            f"{one_of(moving) if len(moving) < 3 else f'{moving[0]} and {len(moving) - 1} more'} "
-            f"{'moves' if len(moving) == 1 else 'move'} before any command changes "
-            f"(until {look.at([look.still - 1])}), but the arm is assumed to start at rest: the "
-            "clocks of camera and commands may differ, or the arm was moving",
-            "correct the stamps, or state [initial] (free = true lets the fit find it)",
+            f"{' and '.join(moving) if len(moving) < 3 else more} "
+            f"{'moves' if len(moving) == 1 else 'move'} before any command changes (until "
+            f"{look.at([look.still - 1])}), but the arm is assumed to start at rest: the clocks "
+            "of camera and commands may differ, or the arm may have been moving",
+            "correct the time stamps, or give the initial state in [initial] (free = true lets "
+            "the fit estimate it)",
             tuple(moving),
         )
 
 
-# The arm: recorded positions and angles against those at the commanded angles.
+# Recorded positions and angles of an arm, compared with those at the commanded angles.
 #
-# The arm follows its commands late, and the later the farther out: each column is compared with
-# what it would be at the commands, behind a lag of first order that describes it best.
+# The arm follows its commands with a delay that increases towards the tip. Each column is therefore
+# compared with its value at the commands after the first-order lag that fits it best.
 
 _BLOCKS, _IN_BLOCK = 64, 5
 _LAGS = np.array([1e-9, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0])  # s
 _IMBALANCES = (BUOYANCY.imbalance, BUOYANCY.imbalance_drift)
-_MOVES_BY = 20.0  # times its noise: channels that move by less say nothing
-_BETTER = -0.45  # mean logarithm of what is left where a mistake is undone, against as it is
-_FEWEST_BLOCKS = 20  # for a comparison with what is recorded
-_USUAL_WAYS = 100  # ways in which it may be wrong, at `_BLOCKS`; chance finds more of more in fewer
-_SMOOTHER = 0.4  # by how much the shape of the arm is smoother with two labels exchanged
+_MOVES_BY = 20.0  # minimum ratio of the squared motion of a channel to its squared noise
+_BETTER = -0.45  # maximum mean log ratio of the squared residuals with and without a correction
+_FEWEST_BLOCKS = 20  # minimum number of blocks for a comparison with the recording
+_USUAL_WAYS = 100  # candidates for which `_BETTER` holds at `_BLOCKS`; with more it is stricter
+_SMOOTHER = 0.4  # maximum ratio of the roughness with two labels exchanged to that as recorded
 
 
 class _Point(NamedTuple):
-    """A recorded number: component (None: a joint's angle) of a link, counted from 0."""
+    """A recorded number: a component (None: the joint angle) of a link, counted from 0."""
 
     channel: Channel
     link: int
@@ -139,24 +140,24 @@ class _Point(NamedTuple):
 
     @classmethod
     def of(cls, channel: Channel, count: int) -> "_Point":
-        """Of an arm of so many links; the tip is a link beyond them."""
+        """Return the point of a channel of an arm with `count` links; the tip has this number."""
         link = count if channel.index is None else channel.index - 1
         return cls(channel, link, channel.component)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Pose:
-    """What is recorded, in blocks of rows, and the arm at its commands.
+    """Recorded values in blocks of rows, and the arm at its commands.
 
     Attributes:
-        points: what each column is of; the tip is a link beyond the last.
-        recorded: shape (block, point); a joint's angle times the reach of the arm.
-        first: the same in the first rows, before any command changes, shape (point,).
-        times: s, shape (block,).
-        angles: commands, rad, shape (block, joint).
-        joints: that are commanded, from 0, by the names of their commands.
-        noise: deviations of a cell, shape (point,).
-        lengths, axes, base: of the links and joints, and the rotation vector of the arm.
+        points: meaning of each column; the tip has the number after the last link.
+        recorded: recorded values, m, shape (block, point); joint angles times the reach of the arm.
+        first: recorded values in the first rows, before any command changes, shape (point,).
+        times: times, s, shape (block,).
+        angles: commanded angles, rad, shape (block, joint).
+        joints: name of a command -> number of its joint, from 0.
+        noise: standard deviation of the noise of each point, shape (point,).
+        lengths, axes, base: lengths of the links, joint axes, and rotation vector of the base.
         width: diameter of the links, m.
     """
 
@@ -177,7 +178,7 @@ class _Pose:
         return float(np.sum(self.lengths))
 
     def places(self, angles: Values) -> Values:
-        """Centres of the links and the tip, shape (block, link + 1, 3), the straight arm first."""
+        """Return link centres and tip, the straight arm first, shape (1 + block, link + 1, 3)."""
         angles = np.concatenate([np.zeros((1, angles.shape[1])), angles])
         turn = np.broadcast_to(_rotation(self.base[None]), (len(angles), 3, 3))
         end, centres = np.zeros((len(angles), 3)), []
@@ -190,7 +191,7 @@ class _Pose:
         return np.stack([*centres, end], axis=1)
 
     def seen(self, places: Values, angles: Values, points: Sequence[_Point]) -> Values:
-        """What points are at the commands, shape (1 + block, point), of the straight arm first."""
+        """Return points at the commands, shape (1 + block, point), the straight arm first."""
         whole = np.concatenate([np.zeros((1, angles.shape[1])), angles])
         columns = [
             whole[:, p.link] * self.reach if p.component is None else places[:, p.link, p.component]
@@ -199,7 +200,7 @@ class _Pose:
         return np.stack(columns, axis=1)
 
     def squares(self, recorded: Values, seen: Values) -> Values:
-        """What is left of each recorded number, behind the lag that leaves least of it."""
+        """Return the sum of squared residuals of each point for the best first-order lag."""
         lagged = np.repeat(seen[:1, None], len(_LAGS), axis=1)[0]
         left = np.zeros(lagged.shape)
         steps = np.diff(self.times, prepend=self.times[0])
@@ -210,11 +211,11 @@ class _Pose:
 
     @cached_property
     def at_commands(self) -> Values:
-        """`places` at the commands as they are."""
+        """`places` at the commands as recorded."""
         return self.places(self.angles)
 
     def points_but_for(self, mistake: Mistake) -> tuple[list[_Point], Values]:
-        """What the columns are of without a mistake, and how many times it they are."""
+        """Return the points that the columns contain given a mistake, and their factors."""
         points, times = [], []
         for point in self.points:
             name = point.channel.name
@@ -224,7 +225,7 @@ class _Pose:
         return points, np.array(times)
 
     def squares_but_for(self, mistake: Mistake | None) -> Values:
-        """What is left of each recorded number without a mistake."""
+        """Return the sum of squared residuals of each point after correction of a mistake."""
         if mistake is None:
             return self.squares(
                 self.recorded, self.seen(self.at_commands, self.angles, self.points)
@@ -245,7 +246,7 @@ class _Pose:
 
 
 def _rotation(vectors: Values) -> Values:
-    """Matrices of rotation vectors, shape (row, 3) to (row, 3, 3)."""
+    """Convert rotation vectors, shape (row, 3), to rotation matrices, shape (row, 3, 3)."""
     size = np.linalg.norm(vectors, axis=-1)[:, None, None]
     unit = vectors / np.maximum(size[:, :, 0], 1e-300)
     cross = np.zeros((len(vectors), 3, 3))
@@ -255,13 +256,16 @@ def _rotation(vectors: Values) -> Values:
 
 
 def _within(edges: Rows) -> Rows:
-    """A few places evenly within each of some ranges, shape (range, place)."""
+    """Return a few evenly spaced positions within each of some ranges, shape (range, position)."""
     first, last = edges[:-1, None], np.maximum(edges[1:, None] - 1, edges[:-1, None])
     return (first + (last - first) * np.linspace(0, 1, _IN_BLOCK)).astype(int)
 
 
 def _pose_of(look: Look) -> _Pose | None:
-    """None where the arm does not go to its commands from the straight one, or is not known."""
+    """Return the data to compare, or None if the arm is not known, or not driven by commands only.
+
+    The comparison assumes that the arm moves from the straight state to its commanded angles.
+    """
     run, section, times = look.run, look.section(ArmSection), look.times
     known, count = arm_values(section), number_of_links(look)
     commands = {
@@ -308,7 +312,7 @@ def _pose_of(look: Look) -> _Pose | None:
     angles = np.zeros((len(rows), count))
     for name, values in commands.items():
         angles[:, joints[name]] = np.median(values[rows], axis=1)
-    if np.max(np.abs(angles)) > TURN:  # as `columns.magnitudes` says
+    if np.max(np.abs(angles)) > TURN:  # reported by `columns.magnitudes`
         return None
     named = {"pitch": (0.0, -1.0, 0.0), "yaw": (0.0, 0.0, 1.0)}
     words = ["pitch", "yaw"] * count if axes == "pitch_yaw" else axes
@@ -329,7 +333,7 @@ def _pose_of(look: Look) -> _Pose | None:
 
 
 class _Undone(NamedTuple):
-    """A mistake that may have been made: its kind, words and remedy."""
+    """A mistake that may have been made: its code, description and remedy."""
 
     code: str
     words: str
@@ -337,7 +341,7 @@ class _Undone(NamedTuple):
 
 
 def _at_commands(look: Look) -> Iterator[Oddity]:
-    """Positions and angles that would follow the commands but for one mistake."""
+    """Report positions and angles that follow the commands only if one mistake is corrected."""
     pose = _pose_of(look) if look.run.model == "arm" else None
     if pose is None:
         return
@@ -359,14 +363,14 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
         left = pose.squares_but_for(mistake)
         return float(np.mean(np.log((left + floor) / (before + floor))[moves]))
 
-    # Other numbers of links show in the shape of the arm, and other units in its reach.
+    # Wrong link numbers are detected from the shape of the arm, and wrong units from its reach.
     moving = [each for each in asked if each.kind in ("angles", "axes", "commands")]
     gains = [(gain(each), each) for each in moving]
     best = min((gained for gained, _ in gains), default=0.0)
     by_chance = np.log(len(gains) + 1) / np.log(_USUAL_WAYS) * _BLOCKS / len(pose.times)
     if best > _BETTER * max(1.0, float(np.sqrt(by_chance))):
         return
-    # What is nearly as good is named, too; what is simpler stands first.
+    # Nearly equal corrections are reported, too, with the simplest one first.
     near = [each for gained, each in gains if gained < best + 0.1][:3]
     yield Oddity(
         near[0].code,
@@ -378,11 +382,11 @@ def _at_commands(look: Look) -> Iterator[Oddity]:
 
 
 def _exchanged(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
-    """Two labels that make the shape of the arm rough, which is smooth with them exchanged."""
+    """Report two labels whose exchange makes the rough recorded shape of the arm smooth."""
     along = np.append(np.cumsum(pose.lengths) - pose.lengths / 2, pose.reach)
 
     def roughness(points: Sequence[_Point]) -> tuple[float, float]:
-        """Squares of the bends from link to link, and those that noise makes."""
+        """Return the sum of squared bends between links, and the part expected from noise."""
         bends = by_noise = 0.0
         for axis in range(3):
             of = [(point.link, i) for i, point in enumerate(points) if point.component == axis]
@@ -417,8 +421,8 @@ def _exchanged(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
 
 
 def _farther_in(pose: _Pose) -> Iterator[_Undone]:
-    """A link that turns as far as a command, though all commanded joints are farther out."""
-    # From the straight arm, where a command may be another one from the first row on.
+    """Report a link that turns with the commands although all commanded joints are farther out."""
+    # The range includes the straight arm, because a wrong command may act from the first row on.
     spans = np.ptp(np.pad(pose.angles, ((1, 0), (0, 0))), axis=0)
     turning = [joint for joint in pose.joints.values() if spans[joint] > 0]
     for i, point in enumerate(pose.points):
@@ -435,14 +439,14 @@ def _farther_in(pose: _Pose) -> Iterator[_Undone]:
                 f"link {point.link + 1} turns by {np.rad2deg(turned):.2g} deg, but no joint "
                 f"between the base and this link is commanded:"
                 f" {name} may belong to another joint",
-                f"--rename {name}_deg=joint{max(point.link - 1, 0) + 1:02d}_command_deg, or to "
-                f"the column of the joint that was commanded",
+                f"--rename {name}_deg=joint{max(point.link - 1, 0) + 1:02d}_command_deg, or name "
+                "the column after the joint that was commanded",
             )
             return
 
 
 def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
-    """Positions in the first rows against the straight arm, which rests there."""
+    """Report first rows that differ from the straight arm, which is assumed to rest there."""
     straight = pose.places(pose.angles[:1])[0]
     chosen = [
         i
@@ -457,7 +461,7 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     rest = first - here
     if not len(points) or np.max(np.abs(rest)) <= enough:
         return
-    # Another axis, or label, first: a number of the arm itself would be where it is.
+    # Wrong axes or labels are tried first: with these, the rows match the straight arm exactly.
     for each in asked:
         if each.kind in ("axes", "exchanged", "numbers"):
             others, times = pose.points_but_for(each)
@@ -472,9 +476,8 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     if np.max(np.abs(rest - origin[axis])) <= max(enough, 0.2 * np.max(np.abs(rest))):
         yield _Undone(
             "frame",
-            f"the first rows differ from the straight arm by ({stated}) m, the same offset in all "
-            f"columns: the "
-            "origin of the camera may be wrong",
+            f"the first rows differ from the straight arm by ({stated}) m, which is the same "
+            "offset in all columns: the origin of the camera frame may be wrong",
             f"--free {path} --start {path}={stated}, or subtract it from the columns",
         )
         return
@@ -487,19 +490,21 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     left = float(np.max(np.abs(rest - rows @ found)))
     turned_so = degrees < 30 and left <= max(enough, 0.2 * np.max(np.abs(rest))) and len(points) > 6
     how = f"the frame of the camera may be rotated by {degrees:.2g} deg" if turned_so else (
-        "the arm may not start straight and at rest, or axes, labels or lengths are wrong"
+        "the arm may start in another state, or axes, labels or lengths may be wrong"
     )  # fmt: skip
     yield _Undone(
         "frame",
         f"the first rows are up to {np.max(np.abs(rest)):.3g} m away from the straight arm: {how}",
         f"--free {CAMERA.rotation.path} --free {path}"
         if turned_so
-        else "check the first rows, and state [initial] if the arm starts in another state",
+        else (
+            "check the first rows, and set [initial] if the arm does not start straight and at rest"
+        ),
     )
 
 
 def _reach(look: Look) -> Iterator[Oddity]:
-    """Positions beyond the length of the arm."""
+    """Report positions that are farther from the base than the arm can reach."""
     if look.run.model != "arm":
         return
     count, known = number_of_links(look), arm_values(look.section(ArmSection))
@@ -509,7 +514,7 @@ def _reach(look: Look) -> Iterator[Oddity]:
     if CAMERA.origin.path in sensors or CAMERA.scale.path in sensors:
         return
     lengths = np.broadcast_to(known[LINKS.length.path], (count,))
-    # How many times as far from the base as the arm lets each be, the worst first.
+    # Ratio of the recorded distance from the base to the largest possible one, for each column.
     beyond, points = [], set()
     for name, cells in look.measured.items():
         if cells.channel.kind in ("link_position", "tip_position"):
@@ -524,8 +529,8 @@ def _reach(look: Look) -> Iterator[Oddity]:
         return
     ratio, far, own, name = max(beyond)
     channel = look.run.channels[name]
-    # What is farther than a hundred times as far is too far in cm, too; and few points that are no
-    # farther than the arm is long are rather those of other links.
+    # A ratio above 100 remains implausible in cm, so the unit is mm. If only a few points are too
+    # far out, but within the length of the arm, their labels are more likely to be wrong.
     unit = "mm" if ratio > 120 else "cm" if ratio > 10 else ""
     far_points = {(look.measured[each[-1]].channel.index or count + 1) - 1 for each in beyond}
     if 2 * len(far_points) < len(points) and far < 1.2 * float(np.sum(lengths)):
@@ -539,7 +544,7 @@ def _reach(look: Look) -> Iterator[Oddity]:
         remedy = renamed if channel.unit == "m" else "convert the values"
     yield Oddity(
         "units" if unit else "frame",
-        f"{look.of(channel)} is up to {far:.4g} m, but the arm limits it to {own:.4g} m: {what}",
+        f"{look.of(channel)} reaches {far:.4g} m, but the arm limits it to {own:.4g} m: {what}",
         remedy,
         (name,),
     )

@@ -1,7 +1,8 @@
-"""What columns say by themselves: units, lost cells, glitches, takes, stamps.
+"""Check columns by themselves: units, lost cells, glitches, second recordings, time stamps.
 
-Each check is a function that yields what is so rarely right that a person should look: no value is
-changed. Thresholds are far from what right recordings have, and stand where they are used.
+Each check is a function that reports features so rarely correct that a person should look at them.
+No value is changed. Thresholds are far from the values of correct recordings, and are defined next
+to their checks.
 """
 
 import dataclasses
@@ -32,16 +33,15 @@ Rows = npt.NDArray[np.int64]
 
 @dataclasses.dataclass(frozen=True)
 class Oddity:
-    """What is rarely so in a right recording.
+    """A feature that is rare in a correct recording.
 
     Attributes:
-        code: the kind of mistake that it is likely to be: "units", "signs", "labels", "frame",
-            "command", "lost cells", "glitches", "wrap", "take", "time", "start", "constants" or
-            "noise".
-        sentence: what is seen and where, and what it is likely to be.
-        remedy: an edit or an option that corrects it, if that is what it is.
-        channels: where it is seen, by name.
-        rows: first samples where it is seen, as a person counts them; at most ten.
+        code: probable kind of mistake: "units", "signs", "labels", "frame", "command",
+            "lost cells", "glitches", "wrap", "take", "time", "start", "constants" or "noise".
+        sentence: description of the feature, its location, and its probable cause.
+        remedy: an edit or an option that corrects the probable mistake.
+        channels: names of the channels with the feature.
+        rows: first samples with the feature, numbered as in messages; at most ten.
     """
 
     code: str
@@ -63,8 +63,8 @@ class Cells(NamedTuple):
     channel: Channel
     values: Values
     rows: Rows
-    step: float  # what one cell differs from the next by, in the middle
-    noise: float  # deviation of white noise by second differences, robust against few steps
+    step: float  # median absolute difference between consecutive cells
+    noise: float  # standard deviation of white noise from second differences, robust to a few steps
 
     @property
     def span(self) -> float:
@@ -72,17 +72,17 @@ class Cells(NamedTuple):
 
 
 _FEW = 8
-_SAMPLED = 20_000  # cells, about, that are enough for a median
+_SAMPLED = 20_000  # approximate number of cells that suffices for a median
 
 
 def _typical(values: Values) -> float:
-    """Median of the sizes of some values, in about so many of them."""
+    """Return the median absolute value, from a subset of about `_SAMPLED` values."""
     part = values[:: max(len(values) // _SAMPLED, 1)]
     return float(np.median(np.abs(part))) if len(part) else 0.0
 
 
 class Look:
-    """A run, and what several checks ask of it, each once."""
+    """A run with cached quantities that several checks use."""
 
     def __init__(self, run: Run) -> None:
         self.run = run
@@ -90,7 +90,7 @@ class Look:
         self.times = run.times
 
     def at(self, rows: Sequence[int] | Rows) -> str:
-        """`row 7` or `rows 7, 9, 12 and 40 more`."""
+        """Return `row 7` or `rows 7, 9, 12, 15, 18 and 40 more`."""
         shown = [self.naming.at(row).rpartition(" ")[2] for row in rows[:5]]
         more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
         return f"{self.naming.row}{'s' * (len(rows) > 1)} {', '.join(shown)}{more}"
@@ -102,13 +102,13 @@ class Look:
         return self.naming.of(channel)
 
     def cells(self, count: int, cells: Cells) -> str:
-        """`2 cells of column x_deg are`."""
+        """Return text such as `2 cells of column x_deg are`."""
         some = count > 1
         return f"{count} cell{'s' * some} of {self.of(cells.channel)} {'are' if some else 'is'}"
 
     @cached_property
     def measured(self) -> dict[str, Cells]:
-        """Measured channels of numbers that have more than a few cells."""
+        """Measured numeric channels with more than a few cells."""
         found = {}
         for name in self.run.values:
             channel = self.run.channels[name]
@@ -128,10 +128,10 @@ class Look:
 
     @cached_property
     def still(self) -> int:
-        """First rows in which no command changes; the first alone where the arm moves from it."""
+        """Number of first rows without a command change; 1 if the arm moves from the first row."""
         inputs = {n: v for n, v in self.run.commands.items() if v.dtype != object}
         moved = [np.flatnonzero(values != values[0])[:1] for values in inputs.values()]
-        # A joint that is commanded away from zero in the first row goes there from it.
+        # A joint that is commanded away from zero in the first row moves from that row on.
         steps = any(
             self.run.channels[name].kind == "joint_command"
             and abs(values[0]) > 0.05 * np.max(np.abs(values))
@@ -140,22 +140,22 @@ class Look:
         return 1 if steps else int(min((each[0] for each in moved if each.size), default=1))
 
 
-# Cells: what stands for nothing measured, glitches, and angles that wrap.
+# Cells: values that mark missing data, glitches, and angles that wrap.
 
 _STANDS_FOR_NOTHING = (99, 999, 9999, 99999, 999999, 32767, 32768, 65535, 8888, 7777)
-_IMPULSIVE = ("acceleration", "angular_velocity")  # an impact is a single cell of these
-_FAR = 3.0  # spans of the other values that such a value is away from them
+_IMPULSIVE = ("acceleration", "angular_velocity")  # an impact can change a single cell of these
+_FAR = 3.0  # minimum distance of a marker value from the others, in units of their range
 
 
 def sentinels(look: Look) -> Iterator[Oddity]:
-    """Values such as -9999 far from all others; other ones more than once, each between others."""
+    """Report extreme values such as -9999, or repeated isolated ones, far from all others."""
     for name, cells in look.measured.items():
         for value in (np.min(cells.values), np.max(cells.values)):
             here = cells.values == value
             count, rest = int(np.count_nonzero(here)), cells.values[~here]
             recorded = round(float(cells.channel.from_si(value)), 6)
             known = abs(recorded) in _STANDS_FOR_NOTHING
-            # Rest is shown as one value, and so is what is beyond the range of a sensor.
+            # Consecutive equal values can be a state of rest or the limit of a sensor.
             apart = value != 0 and not (here[0] or here[-1] or np.any(here[1:] & here[:-1]))
             apart = apart and cells.channel.quantity not in _IMPULSIVE
             if len(rest) < _FEW or not (known or (count > 1 and apart)):
@@ -166,20 +166,20 @@ def sentinels(look: Look) -> Iterator[Oddity]:
                 rows, unit = cells.rows[here], cells.channel.unit
                 yield Oddity(
                     "lost cells",
-                    f"{look.cells(count, cells)} {recorded:g}{' ' * bool(unit)}{unit}, "
-                    f"{away / span:.2g} times the range of the other values from them "
-                    f"({look.at(rows)})and may mark missing values",
+                    f"{look.cells(count, cells)} {recorded:g}{' ' * bool(unit)}{unit}, at a "
+                    f"distance from the other values of {away / span:.2g} times their range "
+                    f"({look.at(rows)}), and may mark missing values",
                     "empty these cells",
                     (name,),
                     look.numbers(rows),
                 )
 
 
-_LEFT_OUT = 8.0  # steps from cell to cell that the neighbours of a lost zero are away from it
+_LEFT_OUT = 8.0  # minimum size of the neighbours of a lost zero, in units of the typical step
 
 
 def zeros(look: Look) -> Iterator[Oddity]:
-    """Exact zeros between cells that are far from zero."""
+    """Report exact zeros between cells that are far from zero."""
     for name, cells in look.measured.items():
         zero = cells.values == 0
         if not zero.any() or np.count_nonzero(zero) > len(zero) / 2:
@@ -198,19 +198,19 @@ def zeros(look: Look) -> Iterator[Oddity]:
             rows = cells.rows[np.concatenate(parts)]
             yield Oddity(
                 "lost cells",
-                f"{look.cells(len(rows), cells)} exactly 0 between values far from it "
-                f"({look.at(rows)})and may mark missing values",
+                f"{look.cells(len(rows), cells)} exactly 0 between values far from 0 "
+                f"({look.at(rows)}), and may mark missing values",
                 "empty these cells",
                 (name,),
                 look.numbers(rows),
             )
 
 
-_JUMP = 1.0  # rad by which a jump may differ from a whole turn
+_JUMP = 1.0  # maximum difference between a jump and a whole turn, rad
 
 
 def wraps(look: Look) -> Iterator[Oddity]:
-    """Angles that jump by a whole turn."""
+    """Report angles that jump by a whole turn."""
     for name, values in look.run.values.items():
         channel = look.run.channels[name]
         if channel.quantity != "angle":
@@ -230,17 +230,17 @@ def wraps(look: Look) -> Iterator[Oddity]:
             )
 
 
-_BEYOND = 4.0  # spreads of its neighbours that a glitch is beyond all of them, ...
-_SIGMAS = 12.0  # ... and deviations of the noise
+_BEYOND = 4.0  # distance of a glitch from its neighbours: this many times their spread ...
+_SIGMAS = 12.0  # ... plus this many standard deviations of the noise
 _AROUND = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
 
 
 def glitches(look: Look) -> Iterator[Oddity]:
-    """Single cells far beyond the cells around them, which are near each other."""
+    """Report single cells far from the cells around them, which are close to each other."""
     for name, cells in look.measured.items():
         if cells.channel.quantity in _IMPULSIVE:
             continue
-        # Zeros are lost cells, if anything.
+        # Zeros are reported as lost cells, if at all.
         keep = cells.values != 0
         values, rows, floor = cells.values[keep], cells.rows[keep], _SIGMAS * cells.noise
         jumps = np.flatnonzero(np.abs(np.diff(values)) > max(floor, 0.05 * cells.span))
@@ -249,7 +249,7 @@ def glitches(look: Look) -> Iterator[Oddity]:
         places = np.unique(np.concatenate([jumps, jumps + 1]))
         places = places[(places >= 4) & (places < len(values) - 4)]
         around = np.sort(values[places[:, None] + _AROUND], axis=1)
-        # One of them on either side may be a glitch itself.
+        # Ignore the lowest and the highest neighbour, because these may be glitches, too.
         low, high = around[:, 1], around[:, -2]
         beyond = np.maximum(low - values[places], values[places] - high)
         odd = places[beyond > np.maximum(_BEYOND * (high - low) + floor, 0.05 * cells.span)]
@@ -262,19 +262,18 @@ def glitches(look: Look) -> Iterator[Oddity]:
         yield Oddity(
             "glitches",
             f"{look.of(cells.channel)} differs strongly from neighbouring cells in "
-            f"{look.at(rows)}: "
-            f"{'glitches' if len(rows) > 1 else 'a glitch'} of the recording",
+            f"{look.at(rows)}: {'glitches' if len(rows) > 1 else 'a glitch'} in the recording",
             "empty these cells, or fit with --loss student_t, which is robust to outliers",
             (name,),
             look.numbers(rows),
         )
 
 
-# Time: takes, stamps.
+# Time: second recordings in a file, time stamps.
 
 
 def takes(look: Look) -> Iterator[Oddity]:
-    """A row at which all that moves goes back to where it began, and goes on as it began."""
+    """Report a row where all channels return to their first values and the motion starts again."""
     moving = [
         c for c in look.measured.values() if len(c.values) > 3 * _FEW and c.span > 20 * c.noise
     ]
@@ -285,7 +284,7 @@ def takes(look: Look) -> Iterator[Oddity]:
     for each in moving:
         x, rows = each.values, each.rows
         steps = np.diff(x)
-        # By how much a step differs from those beside it: of a smooth motion by little.
+        # Difference of a step from the mean of its neighbours, which is small in smooth motion.
         off = np.zeros(len(steps))
         off[1:-1] = np.abs(steps[1:-1] - (steps[:-2] + steps[2:]) / 2)
         low, high = np.quantile(x[:: max(len(x) // _SAMPLED, 1)], [0.02, 0.98])
@@ -300,8 +299,8 @@ def takes(look: Look) -> Iterator[Oddity]:
         found = set(rows[jumps[again]].tolist())
         common = found if common is None else common & found
     inputs = [v for v in look.run.commands.values() if v.dtype != object and np.ptp(v) > 0]
-    # What is recorded in the row in which a command jumps has no time to follow it, or it follows
-    # each of them so.
+    # A measurement cannot follow a command jump within the same row. If measurements jump together
+    # with commands elsewhere as well, such a jump does not indicate a second recording.
     large = [np.flatnonzero(np.abs(np.diff(v)) > 0.05 * np.ptp(v)) + 1 for v in inputs]
     elsewhere = {int(row) for rows in large for row in rows} - (common or set())
     follows = bool(elsewhere.intersection(*jumped))
@@ -329,13 +328,13 @@ def takes(look: Look) -> Iterator[Oddity]:
         )
 
 
-# Steps of time that follow each other and differ by a larger factor are noted; with room for
-# rounding, because a change from ms to s is one by 1000.
+# Consecutive time steps that differ by a larger factor are reported. The factor is slightly less
+# than 1000, the change from ms to s, because time stamps are rounded.
 _LEAP = 990.0
 
 
 def leaps(look: Look) -> Iterator[Oddity]:
-    """Where the time step changes thousandfold: milliseconds among seconds, or a gap."""
+    """Report a change of the time step by a factor of 1000: ms among s, or a gap."""
     if look.times is None:
         return
     steps = np.diff(look.times)
@@ -344,11 +343,11 @@ def leaps(look: Look) -> Iterator[Oddity]:
         return
     at = np.flatnonzero(changes)
     again = len(at) - 1
-    more = f", and again {again} time{'s' * (again > 1)} after it" if again else ""
+    more = f", and {again} more time{'s' * (again > 1)} after it" if again else ""
     yield Oddity(
         "time",
         f"the time step changes from {steps[at[0]]:.3g} s to {steps[at[0] + 1]:.3g} s in "
-        # The second of the two steps ends at the sample after the next.
+        # The second of the two steps ends two samples after the start of the first one.
         f"{look.at(at[:1] + 2)}{more}",
         "check the unit of the time stamps, and whether rows are missing",
         rows=look.numbers(at + 2),
@@ -356,7 +355,7 @@ def leaps(look: Look) -> Iterator[Oddity]:
 
 
 def stamps(look: Look) -> Iterator[Oddity]:
-    """Numbers of frames, or milliseconds, as seconds."""
+    """Report frame numbers or milliseconds that are given as seconds."""
     times = look.times
     if times is None or not look.run.kind.timed or len(times) < 5 * _FEW:
         return
@@ -376,8 +375,7 @@ def stamps(look: Look) -> Iterator[Oddity]:
         )
         yield wrong_unit(
             f"the rows are {middle:.3g} s apart, which is an unusual sampling interval: the time "
-            f"stamps may be"
-            f" {off}",
+            f"stamps may be {off}",
             f"--rename {by}, if this is the case",
         )
 
@@ -387,7 +385,7 @@ def _is_filmed(look: Look) -> bool:
 
 
 def _swings_faster(look: Look, period: float) -> bool:
-    """Whether an arm that swings freely, within less than `period` (s), is seen to be smooth."""
+    """Return whether the data are smooth although the arm swings faster than `period` (s)."""
     section = look.section(ArmSection) if look.run.model == "arm" else None
     if section is None or look.run.commands or is_balanced(section):
         return False
@@ -404,7 +402,7 @@ def _swings_faster(look: Look, period: float) -> bool:
 
 
 def falls(look: Look) -> Iterator[Oddity]:
-    """A loop that runs down where its input goes up, as no hysteresis of these models does."""
+    """Report an output that decreases with its input, as in none of these hysteresis models."""
     if look.run.model != "hysteresis" or len(look.run.commands) != 1:
         return
     (driven,) = look.run.commands.values()
@@ -415,14 +413,14 @@ def falls(look: Look) -> Iterator[Oddity]:
         if np.corrcoef(inputs, cells.values)[0, 1] < -0.3:
             yield Oddity(
                 "signs",
-                f"{look.of(cells.channel)} falls where its input rises",
+                f"{look.of(cells.channel)} decreases where its input increases",
                 _turned(look, name),
                 (name,),
             )
 
 
 def _turned(look: Look, name: str) -> str:
-    """How the sign of a channel is changed: by a command, where it is one of a file."""
+    """Describe how to change the sign of a channel; for a CSV file this is a command."""
     path = look.run.path
     if path is None or path.suffix.lower() != ".csv":
         return f"change the sign of {name}"
@@ -438,7 +436,7 @@ def _turned(look: Look, name: str) -> str:
 
 
 def _turns_back(look: Look) -> bool:
-    """Whether an arm moves to and fro while no command changes, as no creep or leak does."""
+    """Return whether the arm reverses while no command changes, unlike creep or a leak."""
     if look.run.model != "arm":
         return False
     inputs = [v for v in look.run.commands.values() if v.dtype != object]
@@ -454,14 +452,14 @@ def _turns_back(look: Look) -> bool:
     return False
 
 
-# Magnitudes by themselves.
+# Checks of magnitudes.
 
-TURN = 1.1 * np.pi  # rad: no joint is commanded, nor bent by a muscle, beyond a half turn
-_RATE = 60.0  # rad/s: no arm, nor a pendulum of more than centimetres, is so fast
+TURN = 1.1 * np.pi  # rad: commands and muscles do not bend a joint by more than half a turn
+_RATE = 60.0  # rad/s: neither an arm nor a pendulum longer than a few cm moves so fast
 
 
 def magnitudes(look: Look) -> Iterator[Oddity]:
-    """Ratios beyond one, angles of many turns, pixels beyond the picture, accelerations in g."""
+    """Report ratios above 1, angles of many turns, pixels outside the image, accelerations in g."""
     arm = look.run.model == "arm"
     cameras = look.section(CamerasSection).named() if arm else {}
     shortened: dict[str, list[Values]] = {}
@@ -470,10 +468,11 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         if channel.quantity == "text":
             continue
         most = float(np.nanmax(np.abs(values)))
-        shown = f"{look.of(channel)} is up to {channel.from_si(most):.4g}"
+        shown = f"{look.of(channel)} reaches {channel.from_si(most):.4g}"
         if channel.quantity == "ratio" and channel.kind == "contraction" and most > 1:
             yield wrong_unit(
-                f"{shown}, but a contraction is a fraction of the length: it may be in percent",
+                f"{shown}, but a contraction is a fraction of the length: the values may be in "
+                "percent",
                 "divide the column by 100",
                 (name,),
             )
@@ -488,12 +487,11 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
                 beyond = most > TURN
             if beyond:
                 degrees = channel.unit == "rad"
-                said = "degrees" if degrees else "converted twice"
+                said = "be in degrees" if degrees else "have been converted twice"
                 renamed = f"--rename {channel.column}={name}_deg, if this is the case"
                 yield wrong_unit(
-                    f"{look.of(channel)} is up to {np.rad2deg(most):.4g} deg, or changes faster "
-                    f"than an arm can turn"
-                    f": the values may be {said}",
+                    f"{look.of(channel)} reaches {np.rad2deg(most):.4g} deg, or changes faster "
+                    f"than an arm can turn: the values may {said}",
                     renamed if degrees else "convert the values",
                     (name,),
                 )
@@ -505,8 +503,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             usual = float(np.nanquantile(np.abs(values), 0.9))
             if size and usual > 1.2 * size[channel.component or 0]:
                 yield wrong_unit(
-                    f"{shown} px, but the picture has {size[channel.component or 0]} px: the "
-                    f"pixels may refer to an image of another size",
+                    f"{shown} px, but the image has {size[channel.component or 0]} px: the pixels "
+                    "may refer to an image of another size",
                     "correct size_px in [camera.NAME], or the columns",
                     (name,),
                 )
@@ -516,18 +514,18 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
         if len(parts) == 3 and 0.9 < size < 1.1:
             yield wrong_unit(
-                f"{name} has a median of {size:.3g} m/s^2, but 9.81 is expected at rest: it may "
-                f"be in g",
+                f"{name} has a median of {size:.3g} m/s^2, but 9.81 is expected at rest: the "
+                "values may be in g",
                 "multiply its columns by 9.81",
                 (name,),
             )
 
 
-_TOO_QUIET = 8.0  # times as small as stated
+_TOO_QUIET = 8.0  # minimum ratio of the stated noise to the estimated noise
 
 
 def noise_too_small(look: Look) -> Iterator[Oddity]:
-    """Cells that differ far less than the noise that is stated."""
+    """Report channels whose noise is much smaller than stated."""
     for name, cells in look.measured.items():
         stated = look.run.noise(name)
         if (
@@ -537,7 +535,7 @@ def noise_too_small(look: Look) -> Iterator[Oddity]:
             or len(cells.values) < 4 * _FEW
         ):
             continue
-        # By fourth and sixth differences, in which motion leaves nothing; of noise both are alike.
+        # Fourth and sixth differences remove smooth motion. For white noise both estimates agree.
         seen, other = (
             float(np.sqrt(np.mean(np.diff(cells.values[:_SAMPLED], order) ** 2) / size))
             for order, size in ((4, 70), (6, 924))
@@ -556,9 +554,9 @@ def noise_too_small(look: Look) -> Iterator[Oddity]:
             )
 
 
-# What is known of an arm.
+# Known constants of an arm.
 
-PAPER = (None, DEFAULT_PRESET, "takeichi_20m_full")  # presets of the paper's arm
+PAPER = (None, DEFAULT_PRESET, "takeichi_20m_full")  # presets of the arm in the paper
 
 
 def is_balanced(section: ArmSection) -> bool:
@@ -566,7 +564,7 @@ def is_balanced(section: ArmSection) -> bool:
 
 
 def arm_values(section: ArmSection) -> dict[str, Values]:
-    """Constants that are stated or those of a preset of the paper, by path, SI."""
+    """Return constants by path, SI: those that are stated, and those of presets of the paper."""
     known = {**section.values()}
     for path, value in (section.parameters or {}).items():
         known[path] = np.asarray(value, dtype=float)

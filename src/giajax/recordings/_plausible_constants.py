@@ -1,4 +1,4 @@
-"""What constants say by themselves, and the force of a muscle: powers of ten, and units."""
+"""Check constants for errors by powers of ten and wrong units, and the force of a muscle."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -51,11 +51,11 @@ _USUAL: Mapping[str, tuple[float, float]] = {
     INITIAL.angle.path: (0.0, 4 * np.pi),
     PINHOLE.focal_length.path: (30.0, 1e5),
 }
-"""What constants are within, SI; 0 is a statement of its own."""
+"""Usual ranges of constants, SI; 0 is always accepted."""
 
 
 def constants(look: Look) -> Iterator[Oddity]:
-    """Constants off by powers of ten, each by itself and against the others."""
+    """Report constants that are wrong by powers of ten, alone or in relation to others."""
     for name, of in look.run.kind.all_sections.items():
         section = look.section(of)
         for key, stated in section.contents().items():
@@ -65,12 +65,12 @@ def constants(look: Look) -> Iterator[Oddity]:
                 number = np.ravel(stated if place is None else stated[place])
                 sizes = np.abs(np.multiply(number, part.factor))
                 bad = (sizes > 0) & ((sizes < low) | (sizes > high))
-                # An arm may swim.
+                # The density of water is accepted, too, because an arm may move under water.
                 bad &= ~((part.path == AIR.density.path) & (sizes > 900) & (sizes < 1100))
                 if bad.any():
                     yield wrong_constant(
                         f"{name}.{key} is {number[bad][0]:g}, but the usual range is from "
-                        f"{low / part.factor:.3g} to {high / part.factor:.3g}in the unit of its "
+                        f"{low / part.factor:.3g} to {high / part.factor:.3g} in the unit of its "
                         "key: the unit may be wrong",
                         "correct it in the sidecar",
                     )
@@ -95,7 +95,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
             f"mass times length squared ({np.max(mass * length**2):.3g})",
             "correct the inertia, or its unit",
         )
-    # What only yaws carries any weight.
+    # An arm that only yaws does not deflect under its weight.
     axes = section.joint_axes
     axes = ["pitch"] if axes in (None, "pitch_yaw") else axes
     pitched = any(axis == "pitch" if isinstance(axis, str) else axis[1] for axis in axes)
@@ -107,7 +107,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
                 f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity, "
                 f"buoyancy must balance its weight: the mass or a dimension may be wrong by a "
                 f"power of ten",
-                "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or state "
+                "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or set "
                 "gravity_m_per_s2",
             )
     stiffness = known.get(JOINTS.pitch_stiffness.path)
@@ -121,16 +121,16 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         upright = np.any(np.abs(known.get(BASE.base_rotation.path, np.zeros(3))) > 0.5)
         if least > 0 and torque > np.pi / 2 * least and not upright and section.muscles is None:
             yield wrong_constant(
-                f"with gravity and without buoyancy the weight of the arm exerts {torque:.3g} N m "
-                f"about its "
-                f"base, which a joint with a stiffness of {least:.3g} N m/rad cannot support",
-                "state buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 where "
-                "buoyancy balances weight",
+                f"with gravity and without buoyancy, the weight of the arm exerts {torque:.3g} N "
+                f"m about its base, which a joint with a stiffness of {least:.3g} N m/rad cannot "
+                "support",
+                "set buoyancy = true and trim = true in [arm], or gravity_m_per_s2 = 0 if "
+                "buoyancy balances the weight",
             )
 
 
 def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> Iterator[Oddity]:
-    """Links and necks of joints that do not bear their muscles."""
+    """Report links and necks of joints that cannot carry the force of their muscles."""
     pressure = known.get(LINKS.pressure.path, LINKS.pressure.default)
     sentence = collapse(pressure, diameter, largest_pull(known, section.muscle_law))
     if sentence is not None:
@@ -147,7 +147,7 @@ def _collapse(section: ArmSection, known: Mapping[str, Any], diameter: Any) -> I
 
 
 def _least_gas(section: ArmSection, pressure: Any) -> tuple[int, float]:
-    """The joint with muscles, of links of these pressures (Pa), in whose neck it is lowest."""
+    """Return the joint with muscles whose neck has the lowest link pressure, and this pressure."""
     numbers = np.arange(1, pressure.size + 1)
     if isinstance(section.muscles, list):
         numbers = np.asarray(section.muscles)
@@ -155,14 +155,14 @@ def _least_gas(section: ArmSection, pressure: Any) -> tuple[int, float]:
         numbers = numbers[::2]
     if pressure.size == 1:
         return int(numbers[0]), float(pressure[0])
-    # A neck is between two links.
+    # A neck is between two links and has the lower of their pressures.
     between = np.minimum(pressure, np.concatenate([pressure[:1], pressure[:-1]]))
     least = int(numbers[np.argmin(between[numbers - 1])])
     return least, float(between[least - 1])
 
 
 def force(look: Look) -> Iterator[Oddity]:
-    """The force of a braided muscle against that of the ideal law, at no contraction."""
+    """Compare the force of a braided muscle with that of the ideal law at zero contraction."""
     if look.run.model != "muscle" or "force" not in look.measured:
         return
     stated = look.section(MuscleSection).values()
@@ -176,22 +176,22 @@ def force(look: Look) -> Iterator[Oddity]:
     cells = look.measured["force"]
     size, pressures = np.abs(cells.values), pressure[cells.rows]
     ratio = float(np.quantile(size, 0.95)) / max(ideal * most, 1e-300)
-    # A muscle that may contract has little force, if any.
+    # Without contraction data the muscle may be contracted, which reduces its force to zero.
     contraction = look.run.values.get("contraction", np.full(len(pressure), np.inf))
     held = (contraction[cells.rows] < 0.05) & (pressures > most / 2)
     weak = ideal > 0 and held.any() and np.median(size[held] / pressures[held]) < 1e-2 * ideal
     if ratio > 20 or (weak and ratio < 1e-2):
         yield wrong_unit(
-            f"the force is {ratio:.2g} times that of an ideal muscle of this size and pressure: "
-            "force, pressure or diameter may have a wrong unit",
+            f"the force is {ratio:.2g} times the force of an ideal muscle of this size and "
+            "pressure: force, pressure or diameter may have a wrong unit",
             "correct the unit in the name of the column, or the key in [muscle]",
             ("force", "pressure"),
         )
     limit = stated.get(BRAIDED.pressure_limit.path)
     if limit is not None and not 0.01 < most / float(limit) < 5:
         yield wrong_unit(
-            f"the pressure is up to {most / float(limit):.2g} times the stated limit: one of them "
-            "may have a wrong unit",
+            f"the pressure reaches {most / float(limit):.2g} times the specified limit: one of "
+            "them may have a wrong unit",
             "correct the unit in the name of the column, or pressure_limit_kPa",
             ("pressure",),
         )

@@ -1,4 +1,4 @@
-"""Reading a run, taking some of its channels or windows of time, and writing one."""
+"""Read a run, select channels or windows of time, and write a run."""
 
 import contextlib
 import dataclasses
@@ -31,13 +31,14 @@ def selected(
     window_s: float | None,
     beside: Sequence[Run] = (),
 ) -> list[Run]:
-    """The runs of a fit with these channels, in windows of so many seconds.
+    """Return the runs of a fit with the given channels, cut into windows of `window_s` seconds.
 
-    Of runs of several models each has those of the channels that are its model's, and those
-    without an initial state stay whole. Without channels they are all that were measured.
+    If the runs belong to several models, each run has the channels that its model predicts, and
+    runs without an initial state are not cut. None selects all measured channels. `beside` contains
+    further runs of the fit, which may be the only ones with some of the channels.
 
     Raises:
-        InputError: as `observing` and `windows`, or a channel that none of them measures.
+        InputError: as in `observing` and `windows`, or a channel is not measured in any run.
     """
     everything = [*runs, *beside]
     several = len({run.model for run in everything}) > 1
@@ -58,7 +59,7 @@ def selected(
 
 
 def _may_hold(run: Run, name: str) -> bool:
-    """Whether a channel of this name is one that the run's model predicts."""
+    """Return whether the model of the run predicts channels of this name."""
     row = match_name(name)
     return row is not None and row.kind in run.kind.outputs
 
@@ -68,14 +69,14 @@ def _has_state(run: Run) -> bool:
 
 
 def observing(run: Run, channels: Sequence[str]) -> Run:
-    """The run with only these channels to be compared with a prediction.
+    """Return the run with only the given channels to be compared with a prediction.
 
-    The other channels stay in the run, and may give its initial state. `linkNN_angle`, the absolute
-    angle of a link in a plane, is made from the joint angles up to it where it is not recorded.
+    The other channels stay in the run, and may determine its initial state. `linkNN_angle`, the
+    absolute angle of a link in a plane, is the sum of the joint angles up to this link if it is not
+    recorded.
 
     Raises:
-        InputError: a channel that the run does not have and that cannot be made, or one that the
-            model does not predict.
+        InputError: a channel is neither recorded nor computable, or the model does not predict it.
     """
     values, known = dict(run.values), dict(run.channels)
     for name in channels:
@@ -85,8 +86,8 @@ def observing(run: Run, channels: Sequence[str]) -> Run:
     for name in channels:
         if name not in selected.observations:
             raise InputError(
-                f"'{name}' of '{run.name}' is an input of the model and is not predicted: name "
-                f"another channel"
+                f"'{name}' of '{run.name}' is an input of the model and is not predicted: choose "
+                "another channel"
             )
     return selected
 
@@ -97,7 +98,7 @@ def _link_angle(run: Run, name: str) -> tuple[np.ndarray, Channel]:
     if not joints or any(joint not in run.values for joint in joints):
         measured = ", ".join(run.observations) or "none"
         raise InputError(
-            f"'{run.name}' has no channel '{name}': choose among its measured ones: {measured}"
+            f"'{run.name}' has no channel '{name}': choose among its measured channels: {measured}"
         )
     total = np.sum([run.values[joint] for joint in joints], axis=0)
     total.setflags(write=False)
@@ -105,14 +106,14 @@ def _link_angle(run: Run, name: str) -> tuple[np.ndarray, Channel]:
 
 
 def windows(run: Run, length: float) -> list[Run]:
-    """The run cut into windows of a length (s), one after the other.
+    """Cut the run into consecutive windows of a given length (s).
 
-    Each starts at its own initial state, which makes one long or chaotic recording into several
+    Each window has its own initial state, which divides a long or chaotic recording into several
     short ones (multiple shooting). A remainder shorter than half a window is left out.
 
     Raises:
-        InputError: the run has no initial state, or its sidecar states one that would be that of
-            every window, or a window would hold fewer than four samples or none of a channel.
+        InputError: the run has no initial state, its sidecar gives one fixed state that would apply
+            to every window, or a window has fewer than four samples or no value of a channel.
     """
     if run.times is None or not _has_state(run):
         raise InputError(
@@ -122,12 +123,12 @@ def windows(run: Run, length: float) -> list[Run]:
     if not run.definition.section(InitialSection).first_row:
         raise InputError(
             f"'{run.name}' cannot be cut into windows, because each window needs its own initial "
-            f"state: state"
-            " first_row = true in [initial], and free = true where angles are not recorded"
+            "state: set first_row = true in [initial], and also free = true if angles are not "
+            "recorded"
         )
     count = max(np.floor((run.times[-1] - run.times[0]) / length + 0.5), 1)
     rows = np.zeros(2, dtype=int)
-    if 4 * count <= len(run.times):  # before so many edges are made
+    if 4 * count <= len(run.times):  # limits the number of edges before they are computed
         edges = run.times[0] + length * np.arange(int(count) + 1)
         rows = np.searchsorted(run.times, edges - 1e-9 * length)
     if np.min(np.diff(rows)) < 4:
@@ -150,7 +151,7 @@ def windows(run: Run, length: float) -> list[Run]:
 
 
 def rows_of(run: Run, rows: slice, name: str) -> Run:
-    """Some rows of a run with times, as a run of another name."""
+    """Return some rows of a run as a run with another name."""
     return dataclasses.replace(
         run,
         name=name,
@@ -165,35 +166,36 @@ def read_run(
     rename: Mapping[str, str] | None = None,
     definition: Definition | None = None,
 ) -> Run:
-    """Read one run and the sidecar beside it, `<stem>.toml`, if there is one.
+    """Read one run and its sidecar, `<stem>.toml` in the same folder, if it exists.
 
     Arguments:
-        path: a `.csv` file (UTF-8, commas, one header line; an empty cell, `NaN` or `NA` is not
+        path: a `.csv` file (UTF-8, commas, one header line; an empty cell, `NaN` or `NA` means not
             measured) or a `.parquet` file.
-        rename: the file's column name -> the name it has in the column table.
-        definition: a fit definition. What it says of the run and of its model, key by key, goes
-            before the sidecar.
+        rename: column name in the file -> name in the column table.
+        definition: a fit definition. Its keys about the run and its model override those of the
+            sidecar.
 
     Raises:
-        InputError: whatever keeps the file from being a run, in one sentence that names the
-            file, the column and the row (in a CSV file, its line).
+        InputError: the file is not a valid run; the message names the file, the column and the row
+            (in a CSV file, its line).
     """
     path = Path(path)
-    # First, because it may name a model whose columns a package declares.
+    # The sidecar is read first, because it may name a model of a package that declares columns.
     sidecar = read_sidecar(path)
     table = read_table(path, rename)
     if sidecar.sha256 is not None and sidecar.sha256 != table.sha256:
         raise InputError(
-            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} states "
+            f"{path} has the SHA-256 {table.sha256[:12]}..., but {sidecar_path(path)} gives "
             f"{sidecar.sha256[:12]}...: get the file again, or correct sha256 in the sidecar"
         )
     return run_of(table, path, _with_definition(sidecar, definition))
 
 
 class LineReader:
-    """Reads runs as `read_run`, of lines of a file that may still grow; its sidecar is read once.
+    """Read runs like `read_run` from lines of a file that may still grow.
 
-    A checksum that the sidecar states is of the whole file, and does not count.
+    The sidecar is read once. A checksum in the sidecar is ignored, because it refers to the
+    complete file.
     """
 
     def __init__(
@@ -207,23 +209,23 @@ class LineReader:
         self._definition = _with_definition(read_sidecar(path), definition)
 
     def check_names(self, header: bytes) -> None:
-        """Raise `InputError` unless a line names columns of a run over time."""
+        """Raise `InputError` unless a line contains the column names of a run with times."""
         if table_of_lines(header, self._path, self._rename).times is None:
             raise InputError(
-                f"{self._path} has no column time_s, which is required to follow it: "
-                f"add this column"
+                f"{self._path} has no column time_s, which is required to follow the file: add "
+                "this column"
             )
 
     def read(self, data: bytes, first_row: int = 2, *, partial: bool = False) -> Run:
-        """The run of some lines, of which the first one names the columns.
+        """Return the run in some lines, the first of which contains the column names.
 
         Arguments:
             data: the lines.
-            first_row: what errors call the one after the first.
-            partial: whether it goes on, and may have one row, or channels without a value.
+            first_row: row number of the line after the first, for error messages.
+            partial: True if the run continues; then one row suffices, and channels may be empty.
 
         Raises:
-            InputError: as `read_run`.
+            InputError: as in `read_run`.
         """
         table = table_of_lines(data, self._path, self._rename, first_row)
         return run_of(table, self._path, self._definition, partial=partial)
@@ -244,19 +246,19 @@ def read_runs(
     rename: Mapping[str, str] | None = None,
     beside: Sequence[Run] = (),
 ) -> list[Run]:
-    """Read the runs of a fit, with the channels and the windows that its definition requests.
+    """Read the runs of a fit, with the channels and windows that its definition specifies.
 
-    It is about those `beside`, too: those that are fitted, of a validation.
+    `beside` contains the fitted runs if the runs for a validation are read.
 
     Raises:
-        InputError: as `read_run`, `observing` and `windows`.
+        InputError: as in `read_run`, `observing` and `windows`.
     """
     runs = [read_run(path, rename=rename, definition=definition) for path in paths]
     return selected(runs, definition.fit.channels, definition.fit.window_s, beside)
 
 
 def run_of(table: Table, path: Path, definition: Definition, *, partial: bool = False) -> Run:
-    """The run that a table and a definition make together, checked; as `build_run`."""
+    """Return the checked run of a table and a definition; see `build_run`."""
     return build_run(
         name=path.stem,
         times=table.times,
@@ -271,17 +273,17 @@ def run_of(table: Table, path: Path, definition: Definition, *, partial: bool = 
 
 
 def sidecar_path(path: str | Path) -> Path:
-    """Where the sidecar of a run lies, whether or not there is one."""
+    """Return the path of the sidecar of a run, which need not exist."""
     path = Path(path)
-    return path.parent / f"{path.stem}.toml"  # of "." too, which is no run
+    return path.parent / f"{path.stem}.toml"  # unlike with_suffix, this accepts the path "."
 
 
 def read_sidecar(path: str | Path) -> Definition:
-    """The sidecar of the run at `path`; an empty definition if there is none.
+    """Return the sidecar of the run at `path`; an empty definition if there is none.
 
     Raises:
-        InputError: it is not legal, or holds `[fit]`, `[figures]`, `[filling]` or `[unrolling]`,
-            which a fit of the run would silently ignore.
+        InputError: the sidecar is not legal, or contains `[fit]`, `[figures]`, `[filling]` or
+            `[unrolling]`, which a fit of the run would silently ignore.
     """
     sidecar = sidecar_path(path)
     check_path(sidecar)
@@ -296,21 +298,21 @@ def read_sidecar(path: str | Path) -> Definition:
     for section in ("fit", "figures", "filling", "unrolling"):
         if section in definition.model_fields_set:
             raise InputError(
-                f"{sidecar} is the sidecar of {path}, which must not contain [{section}]: move "
-                f"this section to a fit definition, a TOML file with another name"
+                f"{sidecar} is the sidecar of {path} and must not contain [{section}]: move this "
+                "section to a fit definition, a TOML file with another name"
             )
     return definition
 
 
 def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
-    """`["OLD=NEW", ...]` of the command line as a mapping.
+    """Convert `["OLD=NEW", ...]` from the command line to a mapping.
 
     Raises:
-        InputError: a pair of another form, or an old name twice.
+        InputError: a pair has another form, or an old name occurs twice.
     """
     rename: dict[str, str] = {}
     for pair in pairs:
-        # No name of the column table holds an equals sign; a foreign one may.
+        # Split at the last equals sign: names in a file may contain one, names in the table do not.
         old, equals, new = pair.rpartition("=")
         if not equals or not old or not new:
             raise InputError(
@@ -323,22 +325,22 @@ def parse_rename(pairs: list[str], option: str = "--rename") -> dict[str, str]:
     return rename
 
 
-# What files of this toolkit end in: a folder of such a name is a slip.
+# Suffixes of files of this toolkit. A folder with such a name is probably a mistake.
 _FILES = (".csv", ".parquet", ".toml", ".json", *(f".{each}" for each in FORMATS), ".txt", ".html")
 
 
 def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
-    """Refuse files that could not be written, or (without `force`) are there.
+    """Refuse files that cannot be written, or that exist already (without `force`).
 
     Raises:
-        InputError: naming the file and what to do.
+        InputError: a file is refused; the message names the file and the remedy.
     """
     for path in map(Path, all_pictures(paths)):
         check_path(path)
         if path.is_dir():
             raise InputError(f"{path} is a folder: give the name of a file")
         check_replaced(path)
-        # A broken link is there as well, for whoever made it.
+        # A broken link counts as an existing file.
         if os.path.lexists(path) and not force:
             raise InputError(f"{path} exists and is not overwritten: give another name or --force")
         if not path.parent.is_dir():
@@ -349,13 +351,12 @@ def check_output_files(paths: Iterable[str | Path], *, force: bool) -> None:
         if not os.access(path.parent, os.W_OK | os.X_OK):
             raise InputError(
                 f"{path} cannot be written, because there is no permission to write to "
-                f"{path.parent}: "
-                "give another name"
+                f"{path.parent}: give another name"
             )
 
 
 def check_run_name(path: str | Path) -> Path:
-    """The path, unless its name does not end in `.csv`: no run can be written to that."""
+    """Return the path if its name ends in `.csv`; runs are written only to such files."""
     path = Path(path)
     if path.suffix != ".csv":
         raise InputError(
@@ -365,7 +366,7 @@ def check_run_name(path: str | Path) -> Path:
 
 
 def check_output_run(path: str | Path, *, force: bool) -> None:
-    """Refuse a run that could not be written with its sidecar, as `check_output_files`."""
+    """Refuse a run that cannot be written with its sidecar, as in `check_output_files`."""
     path = check_run_name(path)
     check_output_files((path, sidecar_path(path)), force=force)
 
@@ -373,12 +374,12 @@ def check_output_run(path: str | Path, *, force: bool) -> None:
 def check_output_folder(
     folder: str | Path, names: Iterable[str] = (), *, force: bool = False
 ) -> None:
-    """Refuse a folder that could not be made or written to, or holds files of these names.
+    """Refuse a folder that cannot be made or written to, or that contains files of these names.
 
-    It need not exist, and names may be in folders of their own (`fits/a.toml`).
+    The folder need not exist, and names may include folders (`fits/a.toml`).
 
     Raises:
-        InputError: naming the file or folder and what to do.
+        InputError: the folder is refused; the message names the file or folder and the remedy.
     """
     folder = existing = Path(folder)
     check_path(folder)
@@ -386,7 +387,7 @@ def check_output_folder(
         raise InputError(
             f"{folder} is a file, but the output must be a folder: give the name of a folder"
         )
-    # A name that is a broken link exists for mkdir, but not for `exists`.
+    # A broken link exists for mkdir, but not for `exists`.
     while not existing.exists() and not existing.is_symlink() and existing != existing.parent:
         existing = existing.parent
     if not existing.is_dir():
@@ -404,10 +405,10 @@ def check_output_folder(
 
 
 def make_folder(folder: str | Path) -> Path:
-    """Make a folder with all above it, unless it is there; its path.
+    """Make a folder and its parents, unless they exist; return its path.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: the folder cannot be made.
     """
     folder = Path(folder)
     try:
@@ -432,22 +433,23 @@ def write_run(
     digits: int = 9,
     force: bool = False,
 ) -> Path:
-    """Write a run as a `.csv` file that `read_run` reads; returns its path.
+    """Write a run as a `.csv` file that `read_run` can read; return its path.
 
-    Each file appears whole or not at all.
+    Each file is written completely or not at all.
 
     Arguments:
-        path: of the run; its name ends in `.csv`.
-        times: shape (sample,), s, or None for a static run.
-        values: by channel name, SI, each of shape (sample,); NaN becomes an empty cell.
-        units: suffix by channel name or quantity (`length`, `angle`, `angular_velocity`, ...).
-            By default: deg, deg_per_s, kPa, and SI for the rest.
-        definition: with it a sidecar is written too, and holds the model and the checksum.
-        digits: significant digits of a value.
-        force: write over a file that is there.
+        path: path of the run; its name must end in `.csv`.
+        times: times, s, shape (sample,), or None for a static run.
+        values: values by channel name, SI, each of shape (sample,); NaN becomes an empty cell.
+        units: unit suffix by channel name or quantity (`length`, `angle`, `angular_velocity`, ...).
+            The defaults are deg, deg_per_s, kPa, and SI for all others.
+        definition: contents of a sidecar, which is written with the model and the checksum; None
+            for no sidecar.
+        digits: number of significant digits.
+        force: replace existing files.
 
     Raises:
-        InputError: a run that cannot be written; then nothing was written over.
+        InputError: the run cannot be written; then no file was replaced.
     """
     path = check_run_name(path)
     sidecar = sidecar_path(path)
@@ -473,15 +475,15 @@ def write_run(
 
 
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> None:
-    """Write files, all of them or, where one is there and `force` is false, none.
+    """Write all files, or none of them if one exists and `force` is false.
 
-    Those of a picture in other formats, too.
+    The other formats of a picture are written with it.
 
-    Each is written beside its place and then moved there. A link that stands there is replaced
-    like a file, if `force` says so; what it points to stays as it is.
+    Each file is written next to its destination and then moved there. With `force`, an existing
+    link is replaced like a file, and its target stays as it is.
 
     Raises:
-        InputError: a file is there, or its folder is not, or it cannot be written.
+        InputError: a file exists, its folder does not exist, or it cannot be written.
     """
     given, contents = contents, all_files(contents)
     check_output_files(contents, force=force)
@@ -517,7 +519,7 @@ def _csv(
     columns: dict[str, list[str]] = {}
     if times is not None:
         channel = _recorded("time", units)
-        # Neighbouring samples must not round to the same time in a long run.
+        # Consecutive samples of a long run must not be rounded to the same time.
         columns[channel.column] = _cells(channel.from_si(times), max(digits, 12))
     channels = sorted((_recorded(name, units) for name in values), key=order)
     for channel in channels:

@@ -1,4 +1,4 @@
-"""A run: what was recorded and commanded in one experiment, checked and in SI units."""
+"""A run: the checked recorded and commanded data of one experiment, in SI units."""
 
 import itertools
 import re
@@ -31,26 +31,25 @@ if TYPE_CHECKING:
 
 Times = npt.NDArray[np.float64]
 
-# How far two steps may differ by more than their unit: an uneven clock, and rounded stamps.
+# Maximum ratio of consecutive time steps in equal units, for uneven clocks and rounded stamps.
 _EVEN = 2.0
 
 
 def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
-    """Raise `InputError` unless times (s) are finite, strictly increasing, and of one unit.
+    """Raise `InputError` unless times (s) are finite, strictly increasing, and in one unit.
 
-    `integrated`: a model goes through all of the time between them.
+    `integrated` means that a model is integrated from the first to the last time.
     """
     if (at := _first(~np.isfinite(times))) is not None:
         state = "infinite" if np.isinf(times[at]) else "empty"
         raise InputError(
             f"{naming.source}: time in {naming.at(at)} is {state}, but every sample must have a "
-            f"time"
-            ": add the time, or remove the sample"
+            "time: add the time, or remove the sample"
         )
     if (at := _first(np.abs(times) > TIME_S)) is not None:
         raise InputError(
             f"{naming.source}: time in {naming.at(at)} is {times[at]:.9g} s, but must be at most "
-            f"{TIME_S:g} s: correct the stamp, or its unit"
+            f"{TIME_S:g} s: correct the time stamp, or its unit"
         )
     steps = np.diff(times)
     if (at := _first(steps <= 0)) is not None:
@@ -69,14 +68,14 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
     _check_unit(times, steps, naming)
     if (at := _first(steps < STEP_S)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.3g} s after the one before, but "
-            f"must be at least {STEP_S:g} s after it: correct the stamp"
+            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.3g} s after the previous one, "
+            f"but must be at least {STEP_S:g} s after it: correct the time stamp"
         )
     if integrated and (at := _first(steps > GAP_S)) is not None:
         raise InputError(
-            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.6g} s after the one before, but "
-            f"may be at most"
-            f" {GAP_S:g} s after it: correct the stamp, or cut the run in two"
+            f"{naming.source}: {naming.at(at + 1)} is {steps[at]:.6g} s after the previous one, "
+            f"but may be at most {GAP_S:g} s after it: correct the time stamp, or cut the run in "
+            "two"
         )
     if integrated and times[-1] - times[0] > DURATION_S:
         raise InputError(
@@ -86,7 +85,7 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
 
 
 def _check_unit(times: Times, steps: Times, naming: Naming) -> None:
-    """Refuse stamps that go on in milliseconds: divided by 1000 they follow those before."""
+    """Refuse stamps that change to milliseconds: divided by 1000, they continue those before."""
     if len(steps) < 3:
         return
     before, leap, after = steps[:-2], times[2:-1] / 1000 - times[1:-2], steps[2:] / 1000
@@ -104,13 +103,13 @@ Empty = Literal["none", "some", "all"]
 
 
 def _first(wrong: npt.NDArray[np.bool_]) -> int | None:
-    """The first sample that is wrong, or None."""
+    """Return the index of the first wrong sample, or None."""
     at = np.flatnonzero(wrong)
     return int(at[0]) if at.size else None
 
 
 def _check(content: "Run", naming: Naming, *, partial: bool) -> None:
-    """Raise `InputError` for the first thing in a run that no model could use."""
+    """Raise `InputError` for the first defect of a run that makes it unusable for any model."""
     kind = content.kind
     _check_lengths(content, naming, partial=partial)
     if content.times is not None:
@@ -120,7 +119,7 @@ def _check(content: "Run", naming: Naming, *, partial: bool) -> None:
         if channel.quantity == "text":
             _check_text(content.values[name], channel, naming)
         else:
-            # What acts on a model must be known at every sample; only measurements may be missing.
+            # The inputs of a model must be known at every sample. Only measurements may be missing.
             empty: Empty = "none"
             if name in measured:
                 empty = "all" if partial else "some"
@@ -128,8 +127,8 @@ def _check(content: "Run", naming: Naming, *, partial: bool) -> None:
     for column in content.definition.noise.columns:
         if parse_column(column).name not in measured:
             raise InputError(
-                f"{naming.source}: noise is stated for {column!r}, which must be a measured "
-                "column of the run: correct or remove that key"
+                f"{naming.source}: noise is given for {column!r}, which must be a measured column "
+                "of the run: correct or remove this key"
             )
     kind.check(content, naming)
 
@@ -148,8 +147,9 @@ def _check_lengths(content: "Run", naming: Naming, *, partial: bool) -> None:
     for name, array in values.items():
         if len(array) != length:
             raise InputError(
-                f"{naming.source}: {naming.of(channels[name])} has {len(array)} samples, but "
-                f"must have {length} like the others: give it at every sample, NaN where missing"
+                f"{naming.source}: {naming.of(channels[name])} has {len(array)} samples, but must "
+                f"have {length} like the others: give it at every sample, with NaN where it is "
+                "missing"
             )
     least = 1 if times is None or partial else 2
     if length < least:
@@ -185,34 +185,32 @@ def _check_numbers(
     if (at := _first(np.abs(array) > VALUE)) is not None:
         raise InputError(
             f"{called} is {channel.from_si(array[at]):.3g} in {naming.at(at)}, but no recorded "
-            f"value can be so large"
-            ": correct or empty it"
+            "value may be so large: correct or empty it"
         )
     if empty == "none" and (at := _first(missing)) is not None:
         raise InputError(
             f"{called} is empty in {naming.at(at)}, but the inputs of the model must be known at "
-            f"every sample"
-            ": fill the gap"
+            "every sample: fill the gap"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Run(ShownAsTable):
-    """One experiment, in SI units.
+    """The data of one experiment, in SI units.
 
-    Made by `read_run`, `Run.from_frame` and `Run.from_arrays`, which check the content. The arrays
-    are read-only.
+    Runs are made by `read_run`, `Run.from_frame` and `Run.from_arrays`, which check the data. The
+    arrays are read-only.
 
     Attributes:
-        name: the file's stem, or a name of the caller's.
-        model: name of its kind, one of `giajax.schema.KINDS`.
-        times: s, shape (sample,), strictly increasing; None for a static run.
-        values: by channel name, SI, each of shape (sample,); NaN = not measured. A text channel
-            (`side`, `phase`) is an object array of str or None. Time is not among them.
-        channels: by the same names.
-        definition: the sidecar, with the fit definition on top.
+        name: stem of the file, or a name given by the caller.
+        model: name of the kind of model, one of `giajax.schema.KINDS`.
+        times: times, s, shape (sample,), strictly increasing; None for a static run.
+        values: values by channel name, SI, each of shape (sample,); NaN means not measured. A text
+            channel (`side`, `phase`) is an object array of str or None. Time is not included.
+        channels: channels by the same names.
+        definition: the sidecar, overridden by the fit definition.
         path, sha256: the file and its checksum; None for a run made from arrays.
-        observed: the channels that a fit compares; None for all that were measured.
+        observed: names of the channels that a fit uses; None for all measured channels.
     """
 
     name: str
@@ -235,26 +233,26 @@ class Run(ShownAsTable):
         noise: Mapping[str, float] | None = None,
         definition: Definition | Mapping[str, Any] | None = None,
     ) -> "Run":
-        """A run from arrays, with the same checks as a file.
+        """Make a run from arrays, with the same checks as for a file.
 
         Arguments:
-            times: shape (sample,), s; None for a static run.
-            values: by channel name without unit (`joint01_command`, `link06_z`), SI (rad, rad/s,
-                m, m/s, N, N m, Pa), each of shape (sample,). NaN = not measured.
-            name: of the run.
-            noise: standard deviations, SI: by quantity (`position`, `angle`, `rate`) or by
+            times: times, s, shape (sample,); None for a static run.
+            values: values by channel name without unit (`joint01_command`, `link06_z`), SI (rad,
+                rad/s, m, m/s, N, N m, Pa), each of shape (sample,). NaN means not measured.
+            name: name of the run.
+            noise: standard deviations, SI, by quantity (`position`, `angle`, `rate`) or by
                 channel name.
-            definition: what a sidecar would say.
+            definition: contents of a sidecar.
 
         Raises:
-            InputError: whatever keeps the arrays from being a run.
+            InputError: the arrays are not a valid run.
 
         Example:
             >>> import giajax
             >>> values = {"joint01_command": [0.0, 0.5, 0.5], "link20_z": [0.0, 0.4, 2.0]}
             >>> run = giajax.Run.from_arrays([0.0, 1.0, 2.0], values, noise={"position": 0.01})
         """
-        # First, because it may name a model whose columns a package declares.
+        # The definition is read first, because it may name a package that declares columns.
         stated = _definition(definition, name)
         channels = {channel: Channel.named(channel) for channel in values}
         if "time" in channels:
@@ -271,18 +269,18 @@ class Run(ShownAsTable):
         noise: Mapping[str, float] | None = None,
         definition: Definition | Mapping[str, Any] | None = None,
     ) -> "Run":
-        """A run from a table in memory, with the same checks as a file.
+        """Make a run from a table in memory, with the same checks as for a file.
 
         Arguments:
-            frame: of pandas or Polars, a dataset of xarray, or arrays by name. Its columns are
-                called as those of a file (`time_s`, `link06_z_m`), or without the unit
-                (`link06_z`) where `units` or, of xarray, the attribute `units` states it. An index
-                or a coordinate that has such a name is a column. NaN = not measured.
-            units: suffix of the unit (`mm`, `deg`, `s`) by name of a column.
-            name, noise, definition: as of `from_arrays`.
+            frame: a pandas or Polars data frame, an xarray dataset, or arrays by name. Columns have
+                the names of columns in files (`time_s`, `link06_z_m`), or lack the unit
+                (`link06_z`) if it is given in `units` or in the xarray attribute `units`. An index
+                or coordinate with such a name is treated as a column. NaN means not measured.
+            units: suffix of the unit (`mm`, `deg`, `s`) by column name.
+            name, noise, definition: as in `from_arrays`.
 
         Raises:
-            InputError: whatever keeps the table from being a run.
+            InputError: the table is not a valid run.
 
         Example:
             >>> import giajax
@@ -330,7 +328,7 @@ class Run(ShownAsTable):
         noise: Mapping[str, float] | None,
         definition: Definition,
     ) -> "Run":
-        """Check arrays in SI units, with what a sidecar would say of them."""
+        """Make a run from arrays in SI units and the contents of a sidecar."""
         if noise:
             section = {"noise": noise_section(noise, channels)}
             definition = definition.merged_with(Definition.parse(section, f"{name}: noise"))
@@ -350,9 +348,9 @@ class Run(ShownAsTable):
         )
 
     def to_frame(self) -> "pl.DataFrame":
-        """The run as a frame of Polars, whose columns are those of its file, in their units.
+        """Return the run as a Polars data frame with the columns and units of its file.
 
-        `pandas.DataFrame(run.to_frame().to_dict(as_series=False))` is one of pandas.
+        `pandas.DataFrame(run.to_frame().to_dict(as_series=False))` converts it to pandas.
         """
         import polars as pl
 
@@ -368,29 +366,29 @@ class Run(ShownAsTable):
 
     @property
     def kind(self) -> Kind:
-        """What its kind of model declares."""
+        """Declarations of the kind of model of the run."""
         if self.model not in KINDS:
-            registered("model", self.model)  # of a package, in a process of workers
+            registered("model", self.model)  # a worker process imports the model of a package here
         return KINDS[self.model]
 
     @property
     def recording(self) -> str:
-        """Name of the recording that it is, or is a window of."""
+        """Name of the recording; a window has the name of the recording it was cut from."""
         return self.name if self.path is None else self.path.stem
 
     @property
     def drawn_over(self) -> str | None:
-        """The input that its measured channels are drawn over; None: over time."""
+        """Input over which the measured channels are plotted; None means time."""
         return self.kind.drawn_over(self)
 
     @property
     def commands(self) -> dict[str, npt.NDArray[Any]]:
-        """The channels that drive the model, wind apart: name -> (T,), SI."""
+        """Channels that drive the model, except wind: name -> (T,), SI."""
         return self._of_rows(self.kind.inputs)
 
     @property
     def naming(self) -> Naming:
-        """How sentences name its rows and columns: those of its file, or samples."""
+        """How messages name rows and columns: as in the file, or as samples of arrays."""
         if self.path is None:
             return Naming(self.name, "sample", 0, columns=False)
         first = 2 if self.path.suffix.lower() == ".csv" else 1
@@ -398,27 +396,27 @@ class Run(ShownAsTable):
 
     @property
     def winds(self) -> dict[str, npt.NDArray[Any]]:
-        """The recorded air velocity: `wind_x`, ... -> (T,), m/s."""
+        """Recorded air velocity: `wind_x`, ... -> (T,), m/s."""
         return self._of_rows(self.kind.rows("surroundings"))
 
     @property
     def observations(self) -> dict[str, npt.NDArray[Any]]:
-        """The channels that a fit compares with its prediction: name -> (T,), SI."""
+        """Channels that a fit compares with the prediction: name -> (T,), SI."""
         measured = self._of_rows(self.kind.outputs)
         if self.observed is None:
             return measured
         return {name: measured[name] for name in self.observed if name in measured}
 
     def noise(self, name: str) -> float | None:
-        """Standard deviation (SI) that `[noise]` states by column or quantity, or None."""
+        """Return the standard deviation (SI) of a channel from `[noise]`, or None."""
         return deviation_of(self.definition.noise, self.channels[name])
 
     def correlated_noise(self, name: str) -> tuple[float, float] | None:
-        """Standard deviation (SI) and time (s) of the correlated part, where it is stated."""
+        """Return standard deviation (SI) and time (s) of the correlated noise, or None."""
         return correlated_part_of(self.definition.noise, self.channels[name])
 
     def part_of(self, name: str) -> str:
-        """What a channel is: "measured", or what drives the model, "command" or "wind"."""
+        """Return the role of a channel: "measured", or as an input, "command" or "wind"."""
         kind = self.channels[name].kind
         if kind in self.kind.outputs:
             return "measured"
@@ -436,11 +434,11 @@ class Run(ShownAsTable):
         return title, ("channel", "unit", "part", "noise"), rows
 
     def require_observations(self) -> None:
-        """Raise `InputError` if the run holds nothing that a fit could compare."""
+        """Raise `InputError` if the run has no measured channel that a fit could use."""
         if not self.observations:
             raise InputError(
-                f"{self.path or self.name} holds no measured channel to fit: it must have at least "
-                f"one, such as {self.kind.measured}, so add its column"
+                f"{self.path or self.name} holds no measured channel to fit: it must have at "
+                f"least one, such as {self.kind.measured}, so add a column for it"
             )
 
     def _of_rows(self, rows: tuple[str, ...]) -> dict[str, npt.NDArray[Any]]:
@@ -463,14 +461,14 @@ def build_run(
     sha256: str | None = None,
     partial: bool = False,
 ) -> Run:
-    """Decide the model, check the content (`InputError`: it is not a run), freeze the arrays.
+    """Determine the model, check the data (`InputError`: not a valid run), freeze the arrays.
 
-    `partial`: of a run that goes on, which may have one sample, and channels without a value yet.
+    `partial` means that the run continues: one sample suffices, and channels may be empty.
     """
     if not channels:
         raise InputError(
-            f"{naming.source} has only a time column: it must also have a channel, "
-            "such as joint01_command_deg and link06_z_m"
+            f"{naming.source} has only a time column: it must also have a channel, such as "
+            "joint01_command_deg or link06_z_m"
         )
     model = decide_model(channels.values(), definition.model, naming.source)
     run = Run(name, model, times, values, channels, definition, path, sha256)
@@ -489,7 +487,7 @@ def _definition(said: Definition | Mapping[str, Any] | None, name: str) -> Defin
 
 
 def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
-    """The columns of a table, and the units that it states beside their names."""
+    """Return the columns of a table, and the units that it gives separately from the names."""
     stated = {}
     if hasattr(frame, "data_vars"):
         known = {
@@ -513,14 +511,13 @@ def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
                 columns = {str(index.name): array, **columns}
     else:
         raise InputError(
-            f"a run cannot be made from an object of type {type(frame).__name__}: give a data "
-            f"frame of pandas or Polars, "
-            "a dataset of xarray, or arrays by name"
+            f"a run cannot be made from an object of type {type(frame).__name__}: give a pandas "
+            "or Polars data frame, an xarray dataset, or arrays by name"
         )
     for name in {"time", "time_s"} & columns.keys():
         stamps = np.asarray(columns[name])
         if stamps.dtype.kind in "mM":
-            # Of a calendar from the first one on; they need no unit.
+            # Convert dates to times since the first one. Neither kind of stamps needs a unit.
             since = stamps - stamps[:1] if stamps.dtype.kind == "M" else stamps
             columns.pop(name)
             stated.pop(name, None)
@@ -529,7 +526,7 @@ def _columns(frame: Any) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _values(column: Any) -> npt.NDArray[Any]:
-    """The values of a column of pandas or Polars; stamps with a time zone are those of UTC."""
+    """Return a pandas or Polars column as an array; stamps with a time zone become UTC."""
     if getattr(getattr(column, "dtype", None), "tz", None) is not None:
         column = getattr(column, "dt", column).tz_convert(None)
     array: npt.NDArray[Any] = column.to_numpy()
@@ -542,16 +539,15 @@ def _lacks_unit(name: str) -> bool:
 
 
 def _numbers(values: npt.ArrayLike, what: str) -> npt.NDArray[np.float64]:
-    # A copy: the run is frozen, and the caller's array stays the caller's.
+    # Copy the array, because the run is frozen, but the caller's array must stay writable.
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{what} must be numbers: convert the values to float") from None
     if array.ndim != 1:
         raise InputError(
-            f"{what} has the shape {array.shape}, but must have one dimension, that of the "
-            f"samples: "
-            "give one array for each channel"
+            f"{what} has the shape {array.shape}, but must have one dimension, with one value for "
+            "each sample: give one array for each channel"
         )
     return array
 
@@ -563,12 +559,12 @@ def _text(values: npt.ArrayLike, what: str) -> npt.NDArray[Any]:
     return array
 
 
-# 50 characters of four bytes leave room for what is around them in the name of a file.
+# 50 characters of up to four bytes leave room for the rest of a file name.
 _LONGEST = 50
 
 
 def unique_names(runs: Sequence[Run]) -> list[str]:
-    """A name for each run that no other has and any file system takes."""
+    """Return a unique name for each run that is valid in any file system."""
     names: list[str] = []
     for run in runs:
         stem = re.sub(r"[^\w.-]+", "_", run.name).strip(".")[:_LONGEST] or "run"

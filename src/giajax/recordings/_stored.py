@@ -1,7 +1,7 @@
-"""What a stored result and a journal say of how a fit was made: their keys and types.
+"""Keys and types of the fit configuration in stored results and journals.
 
-What a newer version adds is left alone here. Imports no JAX: a file that is not a result is refused
-before a model is built.
+Keys that a newer version adds are ignored here. Does not import JAX, so a file that is not a result
+is refused before a model is built.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ _OTHERS = ConfigDict(extra="ignore")
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """A run as the configuration of a fit has it, beside what its sidecar states."""
+    """A run in the configuration of a fit, without the contents of its sidecar."""
 
     __pydantic_config__ = _OTHERS
     model: str | None = None
@@ -41,7 +41,7 @@ class _Prior:
 
 @dataclasses.dataclass(frozen=True)
 class StoredConfig:
-    """The settings of a fit as they were resolved: `config` of a result."""
+    """The resolved settings of a fit: `config` of a result."""
 
     __pydantic_config__ = _OTHERS
     definition: dict[str, Any]
@@ -76,7 +76,7 @@ class _WarmStart:
 
 @dataclasses.dataclass(frozen=True)
 class StoredTask:
-    """What a fit was asked for, and the checksums of its files: `task` of a result."""
+    """The inputs of a fit and the checksums of its files: `task` of a result."""
 
     __pydantic_config__ = _OTHERS
     definition: dict[str, Any]
@@ -113,7 +113,7 @@ class _FittedRun:
 
 @dataclasses.dataclass(frozen=True)
 class _Result:
-    """Of a result, what is used without its model."""
+    """The parts of a result that are used without its model."""
 
     __pydantic_config__ = _OTHERS
     schema_version: int
@@ -131,15 +131,15 @@ class _Result:
 
 
 def stored_result(path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """A `result.json`, by its path or that of its folder, as plain data, and the folder it is in.
+    """Read a `result.json` or the one in a folder; return its folder and its contents.
 
     Raises:
-        InputError: the file does not exist, or it is not a result of this version.
+        InputError: the file does not exist, or is not a result of this version.
     """
     path = Path(path)
     check_path(path)
     path = path / "result.json" if path.is_dir() else path
-    what, remedy = f"{path} is not a result of giajax", "give the folder of a fit"
+    what, remedy = f"{path} is not a giajax result", "give the folder of a fit"
     try:
         record = parse_json(read_bytes(path, RESULT_BYTES).decode(), path)
     except FileNotFoundError:

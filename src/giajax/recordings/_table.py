@@ -1,4 +1,4 @@
-"""A data file as columns of numbers in SI units, with bad cells named by column and row."""
+"""Read a data file as columns in SI units; errors name the column and row of a bad cell."""
 
 import csv
 import difflib
@@ -22,7 +22,7 @@ from ..schema import QUANTITIES
 from ._channels import Channel, nearest, parse_column, parse_columns
 from ._parquet import split_parquet
 
-_LINES = 30  # how far down a header is looked for: title, date, instrument, units
+_LINES = 30  # number of lines in which a header is sought, below title, date, instrument, units
 _NUMERIC = re.compile(r"[+-]?([0-9]|\.[0-9]).*")
 _UNITS = frozenset(
     spelling.lower()
@@ -33,16 +33,16 @@ _UNITS = frozenset(
 
 
 def check_header(text: str, path: Path) -> None:
-    """Refuse a CSV file whose first line does not name its columns because another line does.
+    """Refuse a CSV file whose column names are not in the first line.
 
     Raises:
-        InputError: comments, units or a title stand above the header, or `#` before it.
+        InputError: comments, units or a title are above the header, or it starts with `#`.
     """
     lines = text.split("\n", _LINES)[:_LINES]
     comments = len([*itertools.takewhile(lambda line: line.lstrip(' "').startswith("#"), lines)])
     if comments:
         below = _cells(lines[comments]) if comments < len(lines) else []
-        # As numpy writes it: the names are in the last comment, and numbers follow.
+        # numpy writes the column names as the last comment, followed by numbers.
         if below and all(_NUMERIC.fullmatch(cell) or not cell for cell in below):
             above = "" if comments == 1 else " and everything above that line"
             raise InputError(
@@ -61,13 +61,13 @@ def check_header(text: str, path: Path) -> None:
     if named is not None:
         above = "the line" if named == 1 else f"the {named} lines"
         raise InputError(
-            f"{path}: the columns are named in line {named + 1}, but must be named in the first "
-            f"line: remove {above} above it"
+            f"{path}: the column names are at line {named + 1}, but must be at line 1: remove "
+            f"{above} above the names"
         )
     if len(first) > 1 and all(cell.strip("[]() ").lower() in _UNITS for cell in first):
         raise InputError(
-            f"{path}: the first line holds units, but must name the columns: remove it, and end "
-            "the names in their units, such as link06_z_m"
+            f"{path}: the first line holds units, but must name the columns: remove it, and "
+            "append the units to the names, such as link06_z_m"
         )
 
 
@@ -76,18 +76,18 @@ def _cells(line: str) -> list[str]:
 
 
 def _named(cells: Sequence[str]) -> bool:
-    """Whether all cells of a line are names of the column table."""
+    """Return whether all cells of a line are names in the column table."""
     try:
         return bool(cells) and all(parse_column(cell) for cell in cells)
     except InputError:
         return False
 
 
-_TOP = 1 << 16  # bytes in which the lines above a header are looked for
+_TOP = 1 << 16  # number of bytes in which the lines above a header are sought
 
 
 def csv_lines(data: bytes, path: Path, separator: str = ",", first_row: int = 2) -> bytes:
-    """The lines of a CSV file, which end in a line feed, without empty ones at the end.
+    """Return the lines of a CSV file with line feeds as ends, without empty lines at the end.
 
     Raises:
         InputError: the data are not text in UTF-8, or a cell is too long.
@@ -110,7 +110,7 @@ def csv_lines(data: bytes, path: Path, separator: str = ",", first_row: int = 2)
 def split_csv(
     data: bytes, path: Path, first_row: int = 2
 ) -> tuple[list[str], list[pl.Series], int]:
-    """Header, columns of text (null = empty cell), and the line of the first sample.
+    """Return header, columns of text (null = empty cell), and the line of the first sample.
 
     Raises:
         InputError: the data are not CSV in UTF-8 with as many cells in each row as in the first.
@@ -143,7 +143,7 @@ def split_csv(
         found = [pl.Series("", list(each), dtype=pl.String) for each in columns]
         return header, found, first_row
     _check_widths(body, len(header), path, first_row)
-    # Below a line of its own: Polars drops a byte order mark and empty lines at the top.
+    # Polars drops a byte order mark and empty lines at the top, so a line is put above the data.
     top = b",".join([b"0"] * len(header)) + b"\n"
     return header, _text(top + body)[1:].get_columns(), first_row
 
@@ -160,10 +160,10 @@ def _text(lines: bytes, separator: str = ",") -> pl.DataFrame:
 
 
 def split_cells(body: bytes, width: int, path: Path, first: int, separator: str = ",") -> pl.Series:
-    """The cells of all rows, of which the first is line `first`, as text, one row after another.
+    """Return the cells of all rows as text, one row after another; the first row is line `first`.
 
     Raises:
-        InputError: a row has more or fewer cells than `width`, or is quoted in no way of CSV.
+        InputError: a row does not have `width` cells, or its quotes are not valid CSV.
     """
     if b'"' in body:
         rows = csv_rows(body, path, first, separator, width)
@@ -174,7 +174,7 @@ def split_cells(body: bytes, width: int, path: Path, first: int, separator: str 
 
 
 def _check_lengths(data: bytes, path: Path, separator: str, first_row: int) -> None:
-    """Refuse what no name and no number is long enough for."""
+    """Refuse data with a cell that is too long for any name or number."""
     characters = np.frombuffer(data, dtype=np.uint8)
     ends = np.flatnonzero((characters == ord(separator)) | (characters == ord("\n")))
     lengths = np.diff(ends, prepend=-1, append=len(data)) - 1
@@ -190,7 +190,7 @@ def _check_lengths(data: bytes, path: Path, separator: str, first_row: int) -> N
 
 
 def _check_widths(body: bytes, width: int, path: Path, first: int, separator: str = ",") -> None:
-    # Polars pads short rows in silence, so the commas of each line are counted here.
+    # Polars pads short rows without an error, so the separators of each line are counted here.
     characters = np.frombuffer(body, dtype=np.uint8)
     ends = np.append(np.flatnonzero(characters == ord("\n")), len(characters))
     commas = np.flatnonzero(characters == ord(separator))
@@ -203,9 +203,9 @@ def _check_widths(body: bytes, width: int, path: Path, first: int, separator: st
 def csv_rows(
     body: bytes, path: Path, first: int, separator: str = ",", width: int | None = None
 ) -> list[list[str]]:
-    """The cells of each line, of which the first is line `first`; `InputError` as `split_cells`."""
-    # Quotes may hide commas and line ends; such files are small enough for the slow way.
-    # Strict: `"1"2` is no way of writing 12.
+    """Return the cells of each line; the first line is line `first`; errors as `split_cells`."""
+    # Quoted cells may contain commas and line ends. Such files are small enough for a slow parser.
+    # It is strict, because `"1"2` must not be read as 12.
     text = io.StringIO(body.decode("utf-8"), newline="")
     reader = csv.reader(text, delimiter=separator, strict=True)
     rows: list[list[str]] = []
@@ -219,7 +219,7 @@ def csv_rows(
             return rows
         if reader.line_num + first - 1 != row:
             raise InputError(
-                f"{path}: a cell in row {row} has a line break, which no cell may have: remove it"
+                f"{path}: a cell in row {row} has a line break, which is not allowed: remove it"
             )
         if width is not None and len(cells) != width:
             ragged(path, row, len(cells), width)
@@ -228,16 +228,17 @@ def csv_rows(
 
 def _misquoted(path: Path, row: int) -> NoReturn:
     raise InputError(
-        f"{path}: a cell in row {row} has a quotation mark that begins or ends no cell: "
-        "quote whole cells, or none"
+        f"{path}: a cell in row {row} has a quotation mark that is not at the beginning or end of "
+        "the cell: quote whole cells, or none"
     )
 
 
 def ragged(path: Path, row: int, cells: int, width: int) -> NoReturn:
-    """Say that a row has not as many cells as the header names columns (`InputError`)."""
+    """Raise `InputError` for a row whose number of cells differs from that of the header."""
     raise InputError(
         f"{path}: row {row} has {cells} cell{'s' * (cells != 1)}, but the header names {width} "
-        "columns: give every row one cell for each column, empty where not measured"
+        "columns: give every row one cell for each column, and leave cells without a measurement "
+        "empty"
     )
 
 
@@ -249,15 +250,15 @@ _SUFFIXES = (".csv", ".parquet")
 
 @dataclass(frozen=True)
 class Table:
-    """The content of a data file, before anything is known about its model.
+    """The contents of a data file whose model is not known yet.
 
     Attributes:
-        times: s, shape (sample,), or None.
-        values: by channel name, SI, each of shape (sample,): NaN = not measured; text as an
-            object array.
-        channels: by the same names.
+        times: times, s, shape (sample,), or None.
+        values: values by channel name, SI, each of shape (sample,); NaN means not measured. Text is
+            an object array.
+        channels: channels by the same names.
         sha256: checksum of the file.
-        first_row: what errors call the first sample.
+        first_row: row number of the first sample, for error messages.
     """
 
     times: npt.NDArray[np.float64] | None
@@ -268,16 +269,16 @@ class Table:
 
 
 def read_table(path: Path, rename: Mapping[str, str] | None = None) -> Table:
-    """Read a `.csv` or `.parquet` file (`InputError`: the file is not such a table)."""
+    """Read a `.csv` or `.parquet` file (`InputError`: the file is not a valid table)."""
     return _table_of(*_split(path), path, rename)
 
 
 def table_of_lines(
     data: bytes, path: Path, rename: Mapping[str, str] | None = None, first_row: int = 2
 ) -> Table:
-    """As `read_table`, of lines of a CSV file of which the first names the columns.
+    """Read lines of a CSV file like `read_table`; the first line contains the column names.
 
-    Errors call the line after that `first_row`.
+    The line after it has the row number `first_row` in error messages.
     """
     return _table_of(data, *split_csv(data, path, first_row), path, rename)
 
@@ -297,7 +298,7 @@ def _table_of(
         raise InputError(f"{path}: {error}") from None
     times = None
     values: dict[str, npt.NDArray[Any]] = {}
-    columns = columns or [pl.Series("", [], dtype=pl.String)] * len(names)  # a header alone
+    columns = columns or [pl.Series("", [], dtype=pl.String)] * len(names)  # a header without rows
     for (column, channel), series in zip(named.items(), columns, strict=True):
         where = f"{path}: column {column!r}"
         if channel.quantity == "text":
@@ -314,7 +315,7 @@ def _table_of(
 
 
 def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
-    """The columns of a `.csv` or `.parquet` file of numbers and empty cells (NaN), by their names.
+    """Return the numeric columns of a `.csv` or `.parquet` file by name; empty cells are NaN.
 
     Raises:
         InputError: the file is not such a table.
@@ -329,15 +330,16 @@ def read_numbers(path: Path) -> dict[str, npt.NDArray[np.float64]]:
 
 
 def column_names(path: Path) -> list[str]:
-    """The names of the columns of a `.csv` or `.parquet` file, as they are there."""
+    """Return the column names of a `.csv` or `.parquet` file, without conversion."""
     return _split(path)[1]
 
 
 def _split(path: Path) -> tuple[bytes, list[str], list[pl.Series], int]:
-    """Content, header and columns of a file, and what errors call its first row."""
+    """Return data, header and columns of a file, and the number of its first row for messages."""
     if path.suffix.lower() not in _SUFFIXES:
         raise InputError(
-            f"{path} must be a run, a file whose name ends in .csv or .parquet: give or convert one"
+            f"{path} must be a run, a file whose name ends in .csv or .parquet: give such a file, "
+            "or convert this one"
         )
     try:
         data = read_bytes(path, RUN_BYTES)
@@ -394,16 +396,16 @@ def _renamed(header: Sequence[str], rename: Mapping[str, str], path: Path) -> li
 def numbers_of(
     series: pl.Series, columns: Sequence[str], first_row: int
 ) -> npt.NDArray[np.float64]:
-    """Numbers of the cells of columns, row by row, NaN where nothing was measured.
+    """Return the numbers in the cells of columns, row by row, NaN where nothing was measured.
 
-    An `InputError` says in which column and row of the file a cell has no number.
+    An `InputError` names the column and row in the file of a cell that is not a number.
     """
     if series.dtype == pl.Categorical:
         series = series.cast(pl.String)
     array = np.array(series.cast(pl.Float64, strict=False).to_numpy(), dtype=np.float64)
     if series.dtype != pl.String:
         return array
-    # What else Polars takes for a number is its own affair, and may change.
+    # Accept fewer forms of numbers than Polars, whose forms may change.
     plain = series.str.contains(f"^(?:{_FINITE})$")
     if (plain.sum() or 0) + series.null_count() == len(series):
         return array

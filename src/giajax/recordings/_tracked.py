@@ -1,4 +1,4 @@
-"""Points that another program tracked in a film, and the run that they make."""
+"""Points that another program tracked in a film, and their conversion to a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ from ._table import read_table
 
 @dataclass(frozen=True)
 class TrackedPoints:
-    """What a program tracked in a film.
+    """Points that a program tracked in a film.
 
     Attributes:
-        times: of the pictures, s, shape (picture,), increasing.
-        points: u to the right and v down by the name of a point, px, each of shape (picture, 2);
-            NaN where it was not found.
+        times: times of the frames, s, shape (picture,), increasing.
+        points: u (to the right) and v (down) by point name, px, each of shape (picture, 2); NaN
+            where the point was not found.
     """
 
     times: npt.NDArray[np.float64]
@@ -32,21 +32,21 @@ class TrackedPoints:
 
 
 def read_deeplabcut(path: str | Path, *, rate: float, likelihood: float = 0.6) -> TrackedPoints:
-    """Read what DeepLabCut wrote of a film as CSV.
+    """Read a CSV file that DeepLabCut wrote for a film.
 
-    Its three header rows are scorer, bodyparts and coords; of several animals there are four, with
-    individuals before bodyparts. A row is a picture, which begins with its number.
+    Its three header rows are scorer, bodyparts and coords. With several animals there is a fourth
+    row, individuals, above bodyparts. Each further row is a frame and starts with the frame number.
 
     Arguments:
-        path: of the file.
-        rate: pictures a second.
-        likelihood: a point that is less likely was not found.
+        path: path of the file.
+        rate: frames per second.
+        likelihood: points with a lower likelihood are treated as not found.
 
     Returns:
-        The points by body part; of several animals by `individual/bodypart`.
+        The points by body part; with several animals by `individual/bodypart`.
 
     Raises:
-        InputError: the file is not of that form, or the rate is not positive.
+        InputError: the file does not have this form, or the rate is not positive.
     """
     how = ImportSettings(frame_rate=rate, likelihood=likelihood)
     return _points(read_foreign(path, how, [DeepLabCut()]))
@@ -55,24 +55,23 @@ def read_deeplabcut(path: str | Path, *, rate: float, likelihood: float = 0.6) -
 def read_kinovea(
     path: str | Path, *, origin: tuple[float, float], time_unit: str = "s"
 ) -> TrackedPoints:
-    """Read the trajectories that Kinovea exported as CSV.
+    """Read trajectories that Kinovea exported as CSV.
 
-    Its header is `Time` and, for each trajectory, `name/point/X` and `name/point/Y`. Coordinates
-    are counted from the origin of its coordinate system, Y upwards, in px where it is not
-    calibrated; times as its preferences say. Where a comma stands in numbers, it may also separate
-    cells, which are in quotes then, or a semicolon does.
+    The header contains `Time` and, for each trajectory, `name/point/X` and `name/point/Y`.
+    Coordinates are counted from the origin of the Kinovea coordinate system, with Y upwards, in px
+    if the film is not calibrated. Times have the unit chosen in Kinovea. If numbers have a decimal
+    comma, cells are separated by semicolons, or by commas with quotes around each cell.
 
     Arguments:
-        path: of the file.
-        origin: where that origin is in the picture, u and v, px.
-        time_unit: of the times: `s`, as Kinovea writes them unless its time format is a number of
-            something else, or `ms`.
+        path: path of the file.
+        origin: position (u, v) of the Kinovea origin in the image, px.
+        time_unit: unit of the times: `s`, the default of Kinovea, or `ms`.
 
     Returns:
-        The points by the name of their trajectory, and by `name/point` where one has several.
+        The points by trajectory name, and by `name/point` if a trajectory has several points.
 
     Raises:
-        InputError: the file is not of that form, or there is no such unit.
+        InputError: the file does not have this form, or the unit is unknown.
     """
     how = ImportSettings(origin=origin, time_unit=time_unit)
     return _points(read_foreign(path, how, [Kinovea()]))
@@ -90,17 +89,18 @@ def _points(table: ForeignTable) -> TrackedPoints:
 def filmed(
     tracked: TrackedPoints, channels: Mapping[str, str], camera: str | None = None
 ) -> dict[str, npt.NDArray[np.float64]]:
-    """The channels of tracked points, such as `link06_u` and `link06_v`, px.
+    """Return the channels of tracked points, such as `link06_u` and `link06_v`, px.
 
     They are NaN where a point was not found. Points without a channel are left out.
 
     Arguments:
-        tracked: what a program tracked.
-        channels: name of a tracked point -> what it is: `link06`, `tip` or `mark01`.
-        camera: that filmed it; its name goes before those of the channels.
+        tracked: the tracked points.
+        channels: name of a tracked point -> its meaning: `link06`, `tip` or `mark01`.
+        camera: name of the camera, which is put in front of the channel names.
 
     Raises:
-        InputError: no such point, a name that no camera shows, or one that is given twice.
+        InputError: a point does not exist, a meaning does not exist for a camera, or two points
+            have the same one.
     """
     things = {
         name: [ForeignColumn("u", "pixel", both[:, 0]), ForeignColumn("v", "pixel", both[:, 1])]
@@ -110,7 +110,7 @@ def filmed(
 
 
 class Beside(NamedTuple):
-    """What was recorded beside a film: its times (s), what drove the arm, and what was measured.
+    """Data recorded together with a film: times (s), inputs of the arm, and measurements.
 
     Commands are `held` until the next one, or linear between two rows.
     """
@@ -122,10 +122,10 @@ class Beside(NamedTuple):
 
 
 def read_beside(path: str | Path) -> Beside:
-    """Read a table that was recorded beside a film, whose sidecar may say that commands are held.
+    """Read a table recorded together with a film; its sidecar may specify `zoh` commands.
 
     Raises:
-        InputError: it is not a table with known column names, or has no times.
+        InputError: the file is not a table with known column names, or has no times.
     """
     table = read_table(Path(path))
     if table.times is None:
@@ -141,7 +141,7 @@ def read_beside(path: str | Path) -> Beside:
 def _parted(
     values: Mapping[str, npt.NDArray[np.float64]],
 ) -> tuple[dict[str, npt.NDArray[np.float64]], dict[str, npt.NDArray[np.float64]]]:
-    """What drove the arm, and what was measured."""
+    """Return inputs and measurements separately."""
     parts: tuple[dict[str, npt.NDArray[np.float64]], ...] = ({}, {})
     for name, column in values.items():
         measured = column_table()[Channel.named(name).kind].part == "output"
@@ -156,14 +156,15 @@ def filmed_beside(
     *,
     held: bool = False,
 ) -> tuple[npt.NDArray[np.float64], dict[str, npt.NDArray[np.float64]]]:
-    """The points of a film and what was recorded beside it as one table, which loses neither.
+    """Merge the points of a film with the data recorded together with it into one table.
 
-    It has a row for each time (s) of either, on one clock. Between their rows inputs are linear, or
-    commands `held` (those of `values`; `beside` says so of its own); before the first and after the
-    last they are held; what was measured stands at its own times alone.
+    The table has a row for each time (s) of either source, on one clock. Between the rows of a
+    source its inputs are linear, or commands are `held` (this option applies to those in `values`;
+    `beside` has its own). Inputs are constant before the first row and after the last one.
+    Measurements have values only at their own times.
 
     Raises:
-        InputError: a channel of the film is there already.
+        InputError: both sources contain the same channel.
     """
     rows = np.unique(np.concatenate([times, beside.times]))
     table: dict[str, npt.NDArray[np.float64]] = {}
@@ -172,7 +173,7 @@ def filmed_beside(
             raise InputError(f"{name} is given twice: name the cameras, or remove one of the two")
         for name, column in inputs.items():
             last = np.maximum(np.searchsorted(moments, rows, side="right") - 1, 0)
-            jumps = steps and Channel.named(name).quantity != "velocity"  # that of a wind
+            jumps = steps and Channel.named(name).quantity != "velocity"  # wind is interpolated
             table[name] = column[last] if jumps else np.interp(rows, moments, column)
         for name, column in measured.items():
             table[name] = np.full(len(rows), np.nan)

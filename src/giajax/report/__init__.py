@@ -1,7 +1,7 @@
-"""What a person sees of fits and models: tables, pictures and files.
+"""Display of fits and models: tables, pictures and files.
 
-The public names are listed in `__init__.pyi`. Each is imported when it is first used: the pictures
-of one command need libraries that take others longer to import than they run.
+The public names are listed in `__init__.pyi`. Each is imported when it is first used, because the
+pictures of one command need libraries whose import takes longer than the run of another command.
 """
 
 from typing import Any
@@ -15,5 +15,5 @@ _earlier = earlier(__name__, 4)
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, imported when it is first used."""
+    """Import and return a public name when it is first used."""
     return _earlier(name) if name in RENAMED["report"] else _current(name)

@@ -30,6 +30,7 @@ from ._posterior import (
     draws_file as draws_file,
     posterior_files as posterior_files,
     posterior_rows as posterior_rows,
+    trace_figure as trace_figure,
 )
 from ._profiles import (
     PROFILE_HEADINGS as PROFILE_HEADINGS,

@@ -1,4 +1,4 @@
-"""A result as a folder of files."""
+"""Write a result to a folder of files."""
 
 import dataclasses
 import hashlib
@@ -29,7 +29,7 @@ from ..schema.parameters import find, switched_on
 from ..studies import with_fitted_states
 from ._text import PAGE, RESULT
 
-# What makes two fits the same fit; the iterations allowed and the folder do not.
+# Settings that must agree for two fits to be the same. The iteration limit and the folder need not.
 _SAME = (
     *("definition", "runs", "free", "start", "fix", "loss", "begin"),
     *("priors", "bounds", "ties", "groups", "hold_out"),
@@ -45,16 +45,16 @@ _WORDS = {
 def check_folder(
     folder: str | Path, runs: Sequence[Run], config: Mapping[str, Any], *, force: bool = False
 ) -> None:
-    """Refuse a folder that cannot take a result, or holds one of something else.
+    """Refuse a folder that cannot be written, or that contains a different result.
 
     Call it before the fit, which may take hours.
 
     Arguments:
-        folder: where `write_result` is to write; need not exist.
-        config: of the fit: `Setup.config`, which `giajax.fitting.set_up` makes.
+        folder: folder for `write_result`; it need not exist.
+        config: configuration of the fit, `Setup.config` from `giajax.fitting.set_up`.
 
     Raises:
-        InputError: the folder is a file, cannot be written, or (without `force`) holds the
+        InputError: the folder is a file, cannot be written, or (without `force`) contains the
             result of other data, of another configuration, or of another program.
     """
     folder = Path(folder)
@@ -71,7 +71,7 @@ def check_folder(
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}): {remedy}") from None
     except (ValueError, LookupError, TypeError, AttributeError):
-        raise InputError(f"{path} is not a result of giajax: {remedy}") from None
+        raise InputError(f"{path} is not a giajax result: {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])
         raise InputError(f"{folder} contains the result of other data ({names}): {remedy}")
@@ -85,7 +85,7 @@ def check_folder(
 
 @dataclasses.dataclass(frozen=True)
 class Reached:
-    """One figure of a definition: whether the result reaches it, and a sentence that says so."""
+    """Comparison of a result with one figure: whether it is reached, and a sentence on it."""
 
     path: str
     reached: bool
@@ -96,7 +96,7 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
     """Refuse `[figures]` of parameters that the model does not have, before anything is fitted.
 
     Raises:
-        InputError: naming the path and the nearest one.
+        InputError: a path is unknown; the message names it and the nearest known path.
     """
     asked = definition.fit
     model = switched_on(model, (*(asked.free or ()), *(asked.start or ()), *(asked.fix or ())))
@@ -107,7 +107,7 @@ def check_figures(model: AbstractModel, definition: Definition) -> None:
 
 
 def reached(result: FitResult, definition: Definition) -> list[Reached]:
-    """Compare a result with each of the `[figures]` of a fit definition, in their order."""
+    """Compare a result with each of the `[figures]` of a fit definition, in order."""
     estimates = {**result.parameters, **result.derived}
     return [
         Reached(path, *_compare(estimates.get(path), figure))
@@ -120,7 +120,7 @@ def _compare(estimate: Estimate | None, figure: Figure) -> tuple[bool, str]:
     if estimate is None or not estimate.free:
         return False, "was not fitted"
     error = estimate.standard_error
-    # An error beyond the value is what the result itself calls barely determined.
+    # An error larger than the value means that the parameter is barely determined.
     determined = error is not None and error <= abs(estimate.value)
     if figure.determined is False:
         return not determined, "is not determined" if not determined else "is determined"
@@ -149,7 +149,7 @@ def _prediction_files(
     names: Sequence[str],
     predictions: Sequence[Mapping[str, np.ndarray]],
 ) -> dict[str, bytes]:
-    """`prediction.csv`, and its sidecar where it is a run: contents by name of the file."""
+    """Return the contents of `prediction.csv` and, if it is a run, its sidecar, by file name."""
     tables = [_table(run, predicted) for run, predicted in zip(runs, predictions, strict=True)]
     if len(runs) == 1:
         data = _csv(tables[0])
@@ -166,7 +166,7 @@ def _prediction_files(
 
 
 def _table(run: Run, predicted: Mapping[str, np.ndarray]) -> dict[str, list[str]]:
-    """Cells by column: those of the recording, with predictions in place of measurements."""
+    """Return cells by column, with predicted values in place of measured ones."""
     columns = {}
     if run.times is not None:
         columns["time_s"] = _cells(run.times, 12)
@@ -190,15 +190,15 @@ def _csv(columns: Mapping[str, list[str]]) -> bytes:
 
 
 def _sidecar(result: FitResult, run: Run, checksum: str) -> Definition:
-    """What the prediction was made with, so that it can be read, checked and fitted as a run."""
+    """Return a sidecar for the prediction, so it can be read, checked and fitted as a run."""
     sidecar = run.definition.contents()
-    # The noise is that of the recording, which a prediction does not have.
+    # A prediction does not have the noise of the recording.
     about = [key for key in run_keys(model=False) if key != "noise"]
     definition = result.model.definition()
     model = {key: definition[key] for key in run.kind.sections if key in definition}
     begun: dict[str, Any] = {"arm": preset_of(run.definition)} if "arm" in model else {}
     if capabilities.uncertain(result.model, [run]):
-        # No device has recorded it.
+        # A prediction was not recorded by a device, so it has no uncertain device parameters.
         begun["uncertainty"] = {"defaults": False}
     return Definition.parse(begun).merged_with(
         Definition.parse(
@@ -222,22 +222,22 @@ def write_result(
     figures: bool = True,
     held_out: Sequence[Run] = (),
 ) -> list[Path]:
-    """Write a result to a folder, which is made if it is missing.
+    """Write a result to a folder, which is made if it does not exist.
 
     `result.json` is the result itself (`giajax.load_result`). `prediction.csv` has the columns of
-    the recording with the fitted in place of the recorded values, at every time; for one run it is
-    a run itself, with its sidecar, and for several it has a leading column `run`. Each file appears
-    whole or not at all, `result.json` first: what takes longest to compute is on disk before
-    anything else can fail. Pictures of an earlier fit are removed.
+    the recording, with fitted values in place of recorded ones, at every time. For one run it is
+    itself a run with a sidecar; for several it has a leading column `run`. Each file is written
+    completely or not at all. `result.json` is written first, because it takes longest to compute,
+    and a later step may fail. Pictures of an earlier fit are removed.
 
     Arguments:
-        runs: those that were fitted, in the same order.
-        folder: its files are written over; `check_folder` is what refuses.
-        figures: whether to draw pictures, too; `write_figures` draws them later.
-        held_out: what was held out of the runs, for the pictures.
+        runs: the fitted runs, in the same order.
+        folder: the folder, whose files are overwritten; use `check_folder` to refuse that.
+        figures: True to draw pictures, too; `write_figures` draws them later.
+        held_out: the held-out parts of the runs, for the pictures.
 
     Raises:
-        InputError: other runs than those of the result, or the folder cannot be written.
+        InputError: the runs are not those of the result, or the folder cannot be written.
 
     Example:
         >>> write_result(result, runs, "giajax-out/base_step")  # doctest: +SKIP
@@ -250,7 +250,7 @@ def write_result(
     _remove_stale_pictures(folder)
     files += _written(folder, _prediction_files(result, runs, names, predictions))
     if figures:
-        # Who wants no pictures need not wait for matplotlib.
+        # Imported only for pictures, because the import of matplotlib is slow.
         from ._pictures import picture_files
 
         files += _written(folder, picture_files(result, runs, names, predictions, held_out))
@@ -264,14 +264,14 @@ def write_figures(
     *,
     held_out: Sequence[Run] = (),
 ) -> list[Path]:
-    """Draw a result into the folder that `write_result` wrote.
+    """Draw pictures of a result in the folder that `write_result` wrote.
 
-    The pictures show recorded against fitted values of each run (of many runs, of those that are
-    described worst), the residuals and the correlations. `runs` and `held_out`, what was held out
-    of them, are in the order of the result.
+    The pictures show recorded and fitted values of each run (with many runs, of those with the
+    largest residuals), the residuals and the correlations. `runs` and `held_out`, their held-out
+    parts, are in the order of the result.
 
     Raises:
-        InputError: other runs than those of the result, or the folder cannot be written.
+        InputError: the runs are not those of the result, or the folder cannot be written.
     """
     from ._pictures import picture_files
 
@@ -281,9 +281,9 @@ def write_figures(
 def _parts(
     result: FitResult, runs: Run | Sequence[Run]
 ) -> tuple[list[Run], list[str], Sequence[Mapping[str, np.ndarray]]]:
-    """The runs of a result, their names as files, and what it predicts for each."""
+    """Return the runs of a result, their names in file names, and the predictions for each."""
     runs = matching_runs(result.runs, runs, whole=True)
-    # A result that was loaded has no predictions with it.
+    # A loaded result does not contain its predictions.
     begun = runs if result.predictions else with_fitted_states(result, runs)
     predictions = result.predictions or [result.predict(run) for run in begun]
     return runs, unique_names(runs), predictions
@@ -296,11 +296,11 @@ def _written(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
 
 
 def _remove_stale_pictures(folder: Path) -> None:
-    """Remove the pictures and the page of an earlier fit, which do not show this one."""
+    """Remove the pictures and the page of an earlier fit, which are no longer valid."""
     of_runs = ("recorded", "recorded_*", "held_out_*")
     whole = ("residuals", "correlation", "left_over", "bootstrap", "influence")
     pictures = (f"{name}.{each}" for name in (*of_runs, *whole) for each in FORMATS)
     for pattern in (*pictures, PAGE):
         for path in folder.glob(pattern):
-            # A PDF has the signature at its end. A page may say it anywhere.
+            # A PDF has the signature at its end, and a page may have it anywhere.
             remove_own(path, 200 if pattern == PAGE else None)

@@ -1,4 +1,4 @@
-"""Pages for a browser, and whether what draws them is installed."""
+"""Pages for a browser, and checks that the required libraries are installed."""
 
 import importlib.util
 from collections.abc import Sequence
@@ -17,20 +17,20 @@ _NEEDED = ("bokeh", "jinja2")
 
 
 def check_page(path: str | Path | None = None, *, force: bool = False) -> None:
-    """Refuse a page that cannot be made, before anything is computed.
+    """Refuse a page that cannot be written, before anything is computed.
 
     Arguments:
-        path: where a fit is to write it; a page that giajax made there is written over.
-        force: write over any file.
+        path: path of the page; an existing giajax page is overwritten.
+        force: overwrite any file.
 
     Raises:
-        InputError: what draws it is not installed, there is a folder of this name, or (without
-            `force`) the file is someone's own or cannot be read.
+        InputError: the required libraries are not installed, the path is a folder, or (without
+            `force`) the file is not a giajax page or cannot be read.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
-            f"a page needs {' and '.join(missing)}, which must be installed: "
+            f"a report page requires {' and '.join(missing)}, which must be installed: "
             f"{install_command('report')}"
         )
     if path is None:
@@ -57,17 +57,18 @@ def report_page(
     held_out: Sequence[Run] = (),
     source: str | Path | None = None,
 ) -> bytes:
-    """A result as one HTML file, below 5 MB, that opens without a network.
+    """Return a result as one HTML file below 5 MB that opens without a network connection.
 
-    The verdict comes first, then the parameters, what limits them, plots and provenance. A model
-    of which something is seen moves; it may be simulated and compiled for that.
+    The verdict comes first, followed by the parameters, their limitations, plots and provenance. A
+    model with visible parts is animated, which may require its simulation and compilation.
 
     Arguments:
-        runs: those that were fitted, in the same order; `held_out` is what was held out of them.
-        source: the `result.json`, from which the page says how to fit it again.
+        runs: the fitted runs, in the same order; `held_out` contains their held-out parts.
+        source: path of `result.json`, from which the page derives how to repeat the fit.
 
     Raises:
-        InputError: what draws it is not installed, or other runs than those of the result.
+        InputError: the required libraries are not installed, or the runs are not those of the
+            result.
 
     Example:
         >>> page = report_page(result, [run])  # doctest: +SKIP
@@ -81,12 +82,12 @@ def report_page(
 
 
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
-    """Results side by side as one HTML file that opens without a network.
+    """Return a comparison of results as one HTML file that opens without a network connection.
 
-    `found` is what `giajax.studies.contrast` says of them, in the same order.
+    `found` comes from `giajax.studies.contrast` and has the same order.
 
     Raises:
-        InputError: what draws it is not installed.
+        InputError: the required libraries are not installed.
     """
     check_page()
     from . import page
@@ -104,21 +105,21 @@ def study_page(
     tables: Sequence[tuple[str, Table, str]],
     pictures: Sequence[tuple[str, bytes, str]],
 ) -> bytes:
-    """A verdict, tables and pictures as one HTML file that opens without a network.
+    """Return a verdict, tables and pictures as one HTML file that needs no network connection.
 
     Arguments:
-        title, kind: of the page, and what made it.
-        grade: "good" or "doubtful", which colours the verdict.
+        title, kind: title of the page, and the command that made it.
+        grade: "good" or "doubtful", which determines the colour of the verdict.
         headline, notes: the verdict, and sentences below it.
-        tables: each with a heading and a note.
-        pictures: PNG files, each with a heading and what it shows.
+        tables: tables, each with a heading and a note.
+        pictures: PNG files, each with a heading and a description.
 
     Raises:
-        InputError: what draws it is not installed.
+        InputError: the required libraries are not installed.
     """
     check_page()
     from . import page
-    from ._style import as_data  # which imports matplotlib
+    from ._style import as_data  # imports matplotlib
 
     return page.study_page(
         title=title,

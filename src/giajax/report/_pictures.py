@@ -1,4 +1,4 @@
-"""The pictures that a fit leaves: recorded and fitted values, residuals, correlations."""
+"""Pictures of a fit: recorded and fitted values, residuals, correlations."""
 
 import contextlib
 import dataclasses
@@ -41,12 +41,12 @@ from ._style import (
 )
 from ._text import MOST_RUNS, correlation_text, worth_drawing
 
-# A step of this many times the usual one, and of this part of the range, is no motion.
+# A step this many times larger than usual, and larger than this fraction of the range, is a jump.
 _JUMP, _FAR = 20, 0.3
 
 
 def abscissa(run: Run) -> tuple[np.ndarray, str]:
-    """What the channels of a run are drawn over, in the unit of the file, and its label."""
+    """Return the abscissa of a run, in the unit of the file, and its label."""
     name = run.drawn_over
     if name is None:
         return sample_times(run), time_label(run)
@@ -54,34 +54,34 @@ def abscissa(run: Run) -> tuple[np.ndarray, str]:
 
 
 def channel_label(channel: Channel) -> str:
-    """Name and unit of a channel."""
+    """Return the name and unit of a channel."""
     return channel.name + (f" ({channel.unit.replace('_per_', '/')})" if channel.unit else "")
 
 
 def sample_times(run: Run) -> np.ndarray:
-    """Times of the samples, s; their numbers where a run has no times."""
+    """Return the sample times, s, or the sample numbers of a run without times."""
     if run.times is not None:
         return run.times
     return np.arange(len(next(iter(run.values.values()))), dtype=float)
 
 
 def time_label(run: Run) -> str:
-    """What `sample_times` are."""
+    """Return the label of `sample_times`."""
     return "time (s)" if run.times is not None else "sample"
 
 
 def sweep_starts(over: np.ndarray) -> np.ndarray:
-    """Samples at which a run of sweeps starts another one, having jumped there."""
+    """Return the samples at which a new sweep starts after a jump of the abscissa."""
     steps = np.abs(np.diff(over))
     usual = np.median(steps[steps > 0]) if np.any(steps > 0) else 0.0
     return np.flatnonzero((steps > _JUMP * usual) & (steps > _FAR * np.ptp(over))) + 1
 
 
 def channels_together(run: Run, most: int) -> list[list[str]]:
-    """Names of the channels that share a panel.
+    """Return the names of the channels that share a panel.
 
-    One channel each; the components of a link or of the tip share one where there would be more
-    than `most`.
+    Each channel has its own panel, unless there are more than `most`. Then the components of a link
+    or of the tip share one.
     """
     names = list(run.observations)
     if len(names) <= most:
@@ -93,11 +93,11 @@ def channels_together(run: Run, most: int) -> list[list[str]]:
     return list(together.values())
 
 
-_MOST_NUMBERS = 16  # more matrix cells than this leave no room for a number in each
+_MOST_NUMBERS = 16  # a larger matrix has no space for a number in each cell
 
 
 def correlation_figure(result: FitResult) -> Figure:
-    """Correlations between the parameters that the data determine."""
+    """Plot the correlations between the parameters that the data determine."""
     paths = result.correlation.parameters
     matrix = np.array(result.correlation.matrix, dtype=float).reshape(len(paths), len(paths))
     size = max(0.55 * len(paths), 1.0)
@@ -108,7 +108,7 @@ def correlation_figure(result: FitResult) -> Figure:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no parameter is determined", ha="center", fontsize=10, color=INK)
         return figure
-    # Each pair once: the other half and the ones on the diagonal say nothing.
+    # Show each pair once, without the diagonal.
     below = np.where(np.tri(len(paths), k=-1, dtype=bool), matrix, np.nan)
     image = axes.imshow(below, cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(paths)), paths, rotation=45, ha="right", rotation_mode="anchor")
@@ -127,23 +127,23 @@ def correlation_figure(result: FitResult) -> Figure:
 
 # More panels than this cannot be read on one screen.
 _MOST_PANELS = 24
-_COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))  # columns, up to so many panels
+_COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))  # number of columns, maximum of panels
 
-# Of cells that were fitted, and of those that were held out.
+# Colours of fitted and of held-out cells.
 _SHADES = {False: GREY, True: VERMILLION}
 
 _COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
 
 
 def plot(result: FitResult, run: Run | None = None) -> Figure:
-    """What a run recorded, and what a fit predicts of it, in the units of the run.
+    """Plot the recorded values of a run and the prediction of a fit, in the units of the run.
 
-    Also `result.plot(run)`. Without a run it is that of a fit of one run, read again from its file
-    where the result was loaded.
+    Also available as `result.plot(run)`. Without a run, the fit must have a single run, which is
+    read again from its file if the result was loaded.
 
     Raises:
-        InputError: as `giajax.predict`; the run is not one of the fitted ones; or none is given,
-            and there are several or it has no file.
+        InputError: as in `giajax.predict`; the run is not one of the fitted ones; or no run is
+            given, and there are several or the run has no file.
 
     Example:
         >>> result.plot().savefig("fit.png")  # doctest: +SKIP
@@ -151,7 +151,7 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
     if run is None:
         if len(result.runs) != 1:
             raise InputError(
-                f"{len(result.runs)} runs were fitted: state which one to plot, as in "
+                f"{len(result.runs)} runs were fitted: specify which one to plot, as in "
                 "result.plot(run)"
             )
         (run,) = [each.run for each in result.predictions] or fitted_runs(result)
@@ -172,9 +172,10 @@ def plot(result: FitResult, run: Run | None = None) -> Figure:
 
 
 def prediction_figure(predicted: PredictedRun) -> Figure:
-    """What a model predicts for a run, over what that recorded, in its units; as `recorded_figure`.
+    """Plot the prediction of a model for a run and the recorded values, in the units of the run.
 
-    Also `result.predict(run).plot()`. A channel that the run does not have is in SI units.
+    Also available as `result.predict(run).plot()`. A channel that the run does not have is in SI
+    units. The layout is that of `recorded_figure`.
 
     Raises:
         InputError: no channel is predicted.
@@ -208,16 +209,17 @@ def recorded_figure(
     record: RunFit | HeldOut,
     held: Run | None = None,
 ) -> Figure:
-    """Recorded against fitted channels of one run, in the units of its file.
+    """Plot recorded and fitted channels of one run, in the units of its file.
 
-    Over time, or over what makes them a curve, such as the input of a hysteresis loop.
-    One panel a channel; the components of a link or of the tip share one where there would be
+    The abscissa is time, or another quantity that gives a curve, such as the input of a hysteresis
+    loop. Each channel has a panel; components of a link or of the tip share one if there would be
     too many. Cells that were not measured are gaps between the dots.
 
     Arguments:
-        predicted: what the fitted model predicts for the run, SI.
-        record: the run's entry in `result.runs`, or in `result.held_out`.
-        held: what was held out of it, which is drawn hollow; `run` itself for a picture of it.
+        predicted: predictions of the fitted model for the run, SI.
+        record: the entry of the run in `result.runs` or `result.held_out`.
+        held: the held-out part of the run, drawn as hollow dots; `run` itself to plot only this
+            part.
     """
     alone = held is run
     what = "held out and predicted" if alone else "recorded and fitted"
@@ -235,14 +237,14 @@ def _figure(
     *,
     any_recorded: bool,
 ) -> Figure:
-    """As `recorded_figure`; `line` is what the legend calls the prediction."""
+    """Plot as `recorded_figure`; `line` is the label of the prediction in the legend."""
     panels, left_out = _panels(run)
     columns = next(c for c, most in _COLUMNS if len(panels) <= most)
     rows = -(-len(panels) // columns)
     if left_out:
         title += f"; {left_out} more channels are in prediction.csv"
     over, label = abscissa(run)
-    # A curve is read best about as high as it is wide, a motion in a wide picture.
+    # A curve is easiest to read in a square panel, and a time series in a wide one.
     height = 2.05 if run.drawn_over is None else 3.4
     figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
@@ -251,7 +253,7 @@ def _figure(
             axes.set_visible(False)
             continue
         _draw_panel(axes, panels[position], run, over, predicted, record, held)
-        # The last panel of each column carries the axis's name, also above an empty place.
+        # The last panel of each column has the label of the abscissa, also above an empty place.
         if position + columns >= len(panels):
             axes.set_xlabel(label)
             axes.tick_params(labelbottom=True)
@@ -264,7 +266,7 @@ def _figure(
 
 
 def _panels(run: Run) -> tuple[list[list[str]], int]:
-    """Names of the channels in each panel, and how many channels have none."""
+    """Return the names of the channels in each panel, and the number of channels without one."""
     panels = channels_together(run, _MOST_PANELS)
     if len(panels) <= _MOST_PANELS:
         return panels, 0
@@ -295,7 +297,7 @@ def _draw_panel(
             channel.from_si(shown.observations[channel.name]),
             linestyle="none",
             marker="o",
-            # A precise recording would hide behind the line.
+            # Dots of a precise recording would be hidden by the line.
             markersize=size + 0.8 if several or hollow else size,
             markeredgewidth=0.6 if hollow else 0,
             markerfacecolor="none" if hollow else None,
@@ -323,7 +325,7 @@ def _colour(channel: Channel) -> str:
 def _legend(
     figure: Figure, line: str, components: bool, *, hollow: bool, any_recorded: bool
 ) -> None:
-    """One legend for all panels, in the title's line."""
+    """Draw one legend for all panels, in the line of the title."""
     dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
     recorded: dict[str, str] = {"recorded": GREY} if any_recorded else {}
     if components and (any_recorded or hollow):
@@ -343,7 +345,7 @@ def _legend(
 def residuals_figure(
     result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
 ) -> Figure:
-    """Residuals in units of the noise: over time, as a distribution, and by channel.
+    """Plot residuals divided by the noise: versus time, as a distribution, and by channel.
 
     `predictions` are those of the fitted model for each run, SI, by channel.
     """
@@ -352,9 +354,11 @@ def residuals_figure(
         for run, predicted, record in zip(runs, predictions, result.runs, strict=True)
     ]
     shown = min(len(runs), 6)
-    title = f"Residuals (recorded - fitted) in units of the noise{unfinished(result)}"
+    title = (
+        f"Residuals (recorded - fitted) divided by the noise standard deviation{unfinished(result)}"
+    )
     if shown < len(runs):
-        title += f"; the first {shown} of {len(runs)} runs over time"
+        title += f"; the first {shown} of {len(runs)} runs versus time"
     figure = new_figure(11, 2.3 * shown + 2.9, title)
     grid = figure.add_gridspec(
         shown + 1, 2, width_ratios=[3, 1], height_ratios=[1.0] * shown + [0.9]
@@ -374,10 +378,11 @@ def residuals_figure(
 def left_over_figure(
     result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
 ) -> Figure:
-    """In what the residuals are that no suspect explains, of the run that has most of them.
+    """Plot the unexplained residuals of the run with the largest ones.
 
-    In time and along the arm, and what the channels have most in common against the command that
-    moves most, its rate, and the angle and the rate of its joint.
+    The first panel shows them versus time and along the arm. The others show the component that is
+    common to the channels versus the command with the largest range, its rate, and the angle and
+    rate of its joint.
     """
     tables = [
         np.nan_to_num(_weighted(run, predicted, record))
@@ -386,7 +391,7 @@ def left_over_figure(
     worst = int(np.argmax([np.mean(table**2) for table in tables]))
     run, table = runs[worst], tables[worst]
     causes = _causes(result, run)
-    figure = new_figure(11, 6.4, f"Residuals of {run.name}, in units of the noise")
+    figure = new_figure(11, 6.4, f"Residuals of {run.name} divided by the noise standard deviation")
     grid = figure.add_gridspec(2, max(len(causes), 1))
     _draw_spread(figure.add_subplot(grid[0, :]), run, table)
     left, sizes, _ = np.linalg.svd(table, full_matrices=False)
@@ -402,7 +407,7 @@ def left_over_figure(
 
 
 def _causes(result: FitResult, run: Run) -> dict[str, np.ndarray]:
-    """What may be behind residuals, by its label: command, angle, and their rates."""
+    """Return possible causes of residuals by label: command, angle, and their rates."""
     moved = {name: row for name, row in run.commands.items() if row.dtype.kind == "f"}
     if not moved:
         return {}
@@ -411,7 +416,7 @@ def _causes(result: FitResult, run: Run) -> dict[str, np.ndarray]:
     channel = run.channels[name]
     if channel.kind == "joint_command":
         angle = f"joint{channel.index:02d}_angle"
-        with contextlib.suppress(InputError):  # A model of one's own may have none.
+        with contextlib.suppress(InputError):  # a user-defined model may not predict the angle
             known |= predict(result.model_of(run), run, [angle])
     causes = {}
     for each, values in known.items():
@@ -424,7 +429,7 @@ def _causes(result: FitResult, run: Run) -> dict[str, np.ndarray]:
 
 
 def _draw_spread(axes: Axes, run: Run, table: np.ndarray) -> None:
-    """Means of residuals in spans of time, by channel: in the order of the links."""
+    """Draw the mean residuals in intervals of time, by channel in the order of the links."""
     times = sample_times(run)
     spans = int(np.clip(len(times) // 8, 1, 120))
     edges = np.linspace(times[0], times[-1], spans + 1)
@@ -436,7 +441,7 @@ def _draw_spread(axes: Axes, run: Run, table: np.ndarray) -> None:
     picture = axes.pcolormesh(
         edges, np.arange(len(names) + 1), means, cmap="RdBu_r", vmin=-limit, vmax=limit
     )
-    plain(axes, "Residuals over time and along the arm")
+    plain(axes, "Residuals versus time for each channel")
     axes.grid(False)
     every = -(-len(names) // 20)
     axes.set_yticks(np.arange(len(names))[::every] + 0.5, names[::every])
@@ -446,7 +451,7 @@ def _draw_spread(axes: Axes, run: Run, table: np.ndarray) -> None:
 
 
 def _draw_means(axes: Axes, over: np.ndarray, values: np.ndarray) -> None:
-    """Values against something, and their means with standard errors in equal parts of it."""
+    """Draw values versus an abscissa, and means with standard errors in equal parts of it."""
     axes.plot(over, values, "o", color=GREY, markersize=1.8, alpha=0.35, markeredgewidth=0)
     order = np.array_split(np.argsort(over, kind="stable"), int(np.clip(len(over) // 20, 2, 15)))
     centres = [float(np.mean(over[part])) for part in order]
@@ -457,7 +462,7 @@ def _draw_means(axes: Axes, over: np.ndarray, values: np.ndarray) -> None:
 
 
 def _weighted(run: Run, predicted: Mapping[str, np.ndarray], record: RunFit) -> np.ndarray:
-    """Residuals in units of the noise, NaN where not measured; shape (sample, channel)."""
+    """Return residuals divided by the noise, shape (sample, channel); NaN if not measured."""
     rests = {name: values - predicted[name] for name, values in run.observations.items()}
     columns = [
         rest / float(run.channels[name].to_si(record.channels[name].compared_noise))
@@ -483,7 +488,7 @@ def _draw_over_time(axes: Axes, run: Run, table: np.ndarray, limit: float) -> No
 
 
 def _running_rms(times: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square over all channels in up to 40 equal spans of time."""
+    """Return the root mean square over all channels in up to 40 equal intervals of time."""
     spans = int(np.clip(table.size // 40, 1, 40))
     edges = np.linspace(times[0], times[-1], spans + 1)
     member = np.clip(np.searchsorted(edges, times, side="right") - 1, 0, spans - 1)
@@ -492,7 +497,7 @@ def _running_rms(times: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.n
         cells = table[member == span]
         cells = cells[~np.isnan(cells)]
         centres.append((edges[span] + edges[span + 1]) / 2)
-        # A span without a measurement is a gap in the line.
+        # An interval without a measurement is a gap in the line.
         rms.append(np.sqrt(np.mean(cells**2)) if cells.size else np.nan)
     return np.asarray(centres), np.asarray(rms)
 
@@ -504,7 +509,7 @@ def _draw_distribution(axes: Axes, values: np.ndarray, limit: float) -> None:
         inside,
         bins=bins,
         range=(-limit, limit),
-        # A density of all values, also of those beyond the axis.
+        # Normalised by all values, including those outside the axis.
         weights=np.full(inside.size, bins / (2 * limit * max(values.size, 1))),
         color=GREY,
         alpha=0.5,
@@ -526,14 +531,14 @@ def _draw_distribution(axes: Axes, values: np.ndarray, limit: float) -> None:
 
 
 def _legend_above(axes: Axes) -> None:
-    """In the line of the title, where no value can hide behind it."""
+    """Draw the legend in the line of the title, where it hides no values."""
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1, 1), "ncols": 2}
     place |= {"borderaxespad": 0.2, "columnspacing": 1.2, "markerscale": 1.8}
     axes.legend(fontsize=8, frameon=False, **place)
 
 
 def _draw_by_channel(axes: Axes, runs: Sequence[Run], tables: Sequence[np.ndarray]) -> None:
-    """Which channel the model misses: RMS of its residuals in all runs."""
+    """Draw the RMS residual of each channel in all runs."""
     names = list(dict.fromkeys(name for run in runs for name in run.observations))
     cells: dict[str, list[np.ndarray]] = {name: [] for name in names}
     for run, table in zip(runs, tables, strict=True):
@@ -544,12 +549,12 @@ def _draw_by_channel(axes: Axes, runs: Sequence[Run], tables: Sequence[np.ndarra
     axes.vlines(places, 0, rms, color=LIGHT, linewidth=3)
     axes.plot(places, rms, "o", color=BLUE, markersize=5 if len(names) < 40 else 3.5)
     axes.axhline(1, color=VERMILLION, linewidth=0.8, linestyle=(0, (4, 3)))
-    plain(axes, "RMS of each channel")
+    plain(axes, "RMS residual of each channel")
     axes.grid(False, axis="x")
     axes.set_ylim(0, None)
     axes.set_xlim(-0.7, len(names) - 0.3)
     axes.set_ylabel("RMS residual / noise")
-    # Every name where they can be read, else every n-th.
+    # Label every channel if there is space, otherwise every n-th one.
     every = -(-len(names) // 80)
     upright = len(names) > 10
     axes.set_xticks(places[::every], names[::every], rotation=90 if upright else 0)
@@ -563,7 +568,7 @@ def picture_files(
     predictions: Sequence[Mapping[str, np.ndarray]],
     held_out: Sequence[Run],
 ) -> dict[str, bytes]:
-    """The pictures of a fit by the names of their files, of which the `names` of runs are parts."""
+    """Return the pictures of a fit by file name; `names` are the run names in file names."""
     files: dict[str, bytes] = {}
     everything = list(zip(runs, names, predictions, result.runs, strict=True))
     held = {(run.name, run.sha256): run for run in held_out}
@@ -582,10 +587,10 @@ def picture_files(
 def _held_out_files(
     result: FitResult, runs: Sequence[Run], held_out: Sequence[Run]
 ) -> dict[str, bytes]:
-    """Pictures of the runs and channels that were held out as a whole, and so are in no other."""
+    """Return pictures of runs and channels that are held out as a whole, by file name."""
     fitted = {(run.name, run.sha256): run.observations for run in runs}
     files: dict[str, bytes] = {}
-    if len(result.held_predictions) != len(held_out):  # A result that was loaded has none.
+    if len(result.held_predictions) != len(held_out):  # a loaded result has no predictions
         return files
     names = unique_names(held_out)
     several = zip(held_out, names, result.held_out, result.held_predictions, strict=True)

@@ -1,4 +1,4 @@
-"""A posterior as a table, as files and as a section of a page."""
+"""Display a posterior as a table, as files and as a section of a page."""
 
 import io
 import tempfile
@@ -33,29 +33,28 @@ from ._style import (
 )
 from ._views import PageSection, RecordView, Table
 
-# More parameters than this are too small to see: those least like the linear interval stay.
+# Panels of more parameters are too small. Those that differ most from the linear interval are kept.
 _MOST_PARAMETERS = 8
 
-_MOST_DOTS = 2000  # of more draws the dots are a blot, and the file is large
+_MOST_DOTS = 2000  # more dots overlap and make the file large
 _BINS = 40
+_RANKS = 20  # number of bins of ranks
 
 _MOST_PANELS = 12
 
 
 def corner_figure(found: Posterior, result: FitResult) -> Figure:
-    """Histograms of the parameters, and dots for each pair of them, in the columns' units.
+    """Plot a histogram of each parameter, and dots for each pair, in the units of the columns.
 
-    Over each histogram the linear interval of the fit; draws that diverged are red.
+    Each histogram also shows the linear interval of the fit. Divergent draws are red.
     """
     labels = _shown(found)
     factors = column_factors(result.model)
-    draws = {
-        label: found.draws_of(label).ravel() * factors.get(_path(label), 1.0) for label in labels
-    }
-    count, more = len(labels), len(found.labels) - len(labels)
+    draws = {label: each.ravel() for label, each in _draws(found, result, labels).items()}
+    named = {label: _with_unit(found, result, label) for label in labels}
+    count = len(labels)
     size = max(1.7 * count, 4.2)
-    title = f"Posterior{unfinished(result)}" + (f"; {more} more parameters" if more else "")
-    figure = new_figure(size + 1.2, size + 0.9, title)
+    figure = new_figure(size + 1.2, size + 0.9, _title("Posterior", found, result, labels))
     grid = figure.subplots(count, count, sharex="col", squeeze=False)
     diverging = found.diverging.ravel().astype(bool)
     for row, below in enumerate(labels):
@@ -76,9 +75,9 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
             else:
                 _dots(axes, draws[across], draws[below], diverging)
                 axes.tick_params(labelleft=column == 0)
-                axes.set_ylabel("" if column else _short(below))
+                axes.set_ylabel("" if column else named[below])
             if row == count - 1:
-                axes.set_xlabel(_short(across))
+                axes.set_xlabel(named[across])
     handles = [
         Patch(color=BLUE, alpha=0.6, label="draws"),
         Line2D([], [], color=INK, ls="--", label="linear 95 % interval"),
@@ -89,17 +88,67 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
     return figure
 
 
+def trace_figure(found: Posterior, result: FitResult) -> Figure:
+    """Plot the draws of each chain in order, and histograms of their ranks, one line per chain.
+
+    Ranks are computed among the draws of all chains. Chains that have mixed have uniform ranks:
+    Vehtari, Gelman, Simpson, Carpenter and Buerkner, Bayesian Analysis 16 (2021) 667.
+    """
+    labels = _shown(found)
+    title = _title("Chains of the posterior", found, result, labels)
+    figure = new_figure(8.5, 1.5 * len(labels) + 1.0, title)
+    grid = figure.subplots(len(labels), 2, squeeze=False, width_ratios=(2, 1), sharex="col")
+    for row, (label, draws) in zip(grid, _draws(found, result, labels).items(), strict=True):
+        ranks = np.argsort(np.argsort(draws, axis=None)).reshape(draws.shape) + 1
+        for chain, (values, placed) in enumerate(zip(draws, ranks, strict=True), 1):
+            style: dict[str, Any] = {"color": f"C{chain - 1}", "label": f"chain {chain}"}
+            row[0].plot(np.arange(1, values.size + 1), values, linewidth=0.6, alpha=0.8, **style)
+            row[1].hist(placed, bins=_RANKS, range=(1, ranks.size), histtype="step", **style)
+        row[1].axhline(draws.shape[1] / _RANKS, color=GREY, linewidth=0.9, linestyle="--")
+        row[0].set_ylabel(_with_unit(found, result, label), fontsize=8)
+        row[1].set_ylabel("draws", fontsize=8)
+        for axes in row:
+            plain(axes)
+    grid[-1, 0].set_xlabel("draw")
+    grid[-1, 1].set_xlabel("rank among all draws")
+    handles = grid[0, 0].get_legend_handles_labels()[0]
+    handles.append(Line2D([], [], color=GREY, ls="--", label="uniform ranks"))
+    figure.legend(handles=handles, loc="outside lower center", fontsize=8, frameon=False, ncols=5)
+    return figure
+
+
+def _draws(found: Posterior, result: FitResult, labels: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return the draws of each chain by label, in the units of the columns."""
+    factors = column_factors(result.model)
+    return {label: found.draws_of(label) * factors.get(_path(label), 1.0) for label in labels}
+
+
+def _title(about: str, found: Posterior, result: FitResult, labels: Sequence[str]) -> str:
+    more = len(found.labels) - len(labels)
+    return about + unfinished(result) + (f"; {more} more parameters" if more else "")
+
+
+def _unit(found: PosteriorSummary, result: FitResult, label: str) -> str | None:
+    one = in_column_units(result.free, result.model).get(label.partition(" of ")[0])
+    return found.parameters[label].unit if one is None else one.unit
+
+
+def _with_unit(found: Posterior, result: FitResult, label: str) -> str:
+    unit = _unit(found.summary, result, label)
+    return _short(label) + (f", {unit}" if unit else "")
+
+
 def _path(label: str) -> str:
     return label.partition(" of ")[0].partition("[")[0]
 
 
 def _short(label: str) -> str:
-    """`joints.pitch_stiffness` in two lines, which a narrow panel has room for."""
+    """Break a label such as `joints.pitch_stiffness` into two lines, to fit a narrow panel."""
     return label.replace(".", ".\n", 1)
 
 
 def _shown(found: Posterior) -> list[str]:
-    """Labels of the parameters that are drawn, in their order."""
+    """Return the labels of the parameters that are drawn, in order."""
 
     def unlike(label: str) -> float:
         one = found.summary.parameters[label]
@@ -122,9 +171,9 @@ def _dots(axes: Axes, across: np.ndarray, up: np.ndarray, diverging: np.ndarray)
 def bands_figure(
     runs: Sequence[Run], bands: Sequence[Mapping[str, Band]], result: FitResult
 ) -> Figure:
-    """Recorded values against where they are predicted to be, in the units of their files.
+    """Plot recorded values and their posterior prediction bands, in the units of their files.
 
-    Of many channels those with the most cells outside of their band.
+    With many channels, those with the most cells outside of their bands are shown.
     """
     panels = [(at, name) for at, by_channel in enumerate(bands) for name in by_channel]
 
@@ -137,7 +186,7 @@ def bands_figure(
     columns = 1 if len(drawn) == 1 else 2 if len(drawn) <= 6 else 3
     rows = -(-len(drawn) // columns)
     more = len(panels) - len(drawn)
-    title = f"Predictions of the posterior{unfinished(result)}"
+    title = f"Posterior predictions{unfinished(result)}"
     title += f"; {more} more channels are in posterior_bands.csv" if more else ""
     figure = new_figure(max(4.2 * columns, 6.5), 2.3 * rows + 0.7, title)
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -160,7 +209,7 @@ def bands_figure(
 
 
 def _draw_band(axes: Axes, run: Run, name: str, band: Band, *, several: bool) -> None:
-    """Less the median: the bands are often thinner than the line that a motion would be."""
+    """Draw a band relative to its median, because it is often narrower than a line."""
     channel, over = run.channels[name], sample_times(run)
     median = channel.from_si(band.median)
     ends = (*band.with_noise(), band.low, band.high)
@@ -180,28 +229,26 @@ POSTERIOR_HEADINGS = [
     *("R-hat", "ESS bulk", "ESS tail"),
 ]
 
-# What a posterior is kept in, beside a file of draws whose format is that of what is installed.
-POSTERIOR, CORNER, BANDS, TABLE = (
-    *("posterior.json", "posterior.png", "posterior_bands.png", "posterior_bands.csv"),
-)
+# Files of a posterior. The format of the draws depends on the installed packages.
+POSTERIOR, CORNER, TRACE = "posterior.json", "posterior.png", "posterior_trace.png"
+BANDS, TABLE = "posterior_bands.png", "posterior_bands.csv"
 DRAWS = ("posterior.nc", "posterior.npz")
-POSTERIOR_FILES = (POSTERIOR, CORNER, BANDS, TABLE, *DRAWS)
+POSTERIOR_FILES = (POSTERIOR, CORNER, TRACE, BANDS, TABLE, *DRAWS)
 
 
 def posterior_rows(summary: PosteriorSummary, result: FitResult) -> list[list[str]]:
-    """A row of text for each parameter, under `POSTERIOR_HEADINGS`, in the columns' units.
+    """Return a row of text for each parameter, under `POSTERIOR_HEADINGS`, in column units.
 
-    Those that no channel responds to, which were held, come last.
+    Parameters without an effect on any channel, which were held, come last.
     """
     factors = column_factors(result.model)
-    units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
     rows = []
     for label, marginal in summary.parameters.items():
-        unit = units.get(label.partition(" of ")[0], marginal.unit)
+        unit = _unit(summary, result, label) or ""
         rows.append(_row(label, marginal.times(factors.get(_path(label), 1.0), unit)))
     known = in_column_units(result.parameters, result.model)
     for path in summary.held:
-        one = known.get(path)  # there is none of a single element, or of a single run
+        one = known.get(path)  # missing for a single element or a parameter of a single run
         shown, unit = ("-", "") if one is None else (format_estimate(one.value, None)[0], one.unit)
         rows.append([path, unit or "-", shown, "-", "not determined", *["-"] * 4])
     return rows
@@ -216,12 +263,12 @@ def _row(label: str, one: Marginal) -> list[str]:
 
 
 def posterior_files(found: Posterior, result: FitResult, runs: Sequence[Run]) -> dict[str, bytes]:
-    """A posterior as files: contents by name.
+    """Return the files of a posterior: contents by name.
 
-    `posterior.json` is the summary; `posterior.nc` has the draws, as ArviZ reads them, or without
-    ArviZ `posterior.npz`; `posterior.png` shows pairs of parameters, and `posterior_bands.csv` and
-    `.png` where each channel is predicted to be. The runs are in the order in which they were
-    fitted.
+    `posterior.json` is the summary. `posterior.nc` contains the draws for ArviZ, or without ArviZ
+    `posterior.npz`. `posterior.png` shows pairs of parameters, `posterior_trace.png` the draws of
+    each chain, and `posterior_bands.csv` and `.png` the prediction bands of each channel. The runs
+    are in the order of the fit.
     """
     name, draws = draws_file(found)
     return {
@@ -229,12 +276,13 @@ def posterior_files(found: Posterior, result: FitResult, runs: Sequence[Run]) ->
         name: draws,
         TABLE: _bands_table(runs, found.bands),
         CORNER: to_png(corner_figure(found, result)),
+        TRACE: to_png(trace_figure(found, result)),
         BANDS: to_png(bands_figure(runs, found.bands, result)),
     }
 
 
 def draws_file(found: Posterior) -> tuple[str, bytes]:
-    """Name and content of a file of the draws: ArviZ's, or NumPy's where that is not installed."""
+    """Return name and contents of the file of draws: for ArviZ if installed, or for NumPy."""
     try:
         tree = found.to_arviz()
     except InputError:
@@ -253,7 +301,7 @@ def draws_file(found: Posterior) -> tuple[str, bytes]:
 
 
 def _bands_table(runs: Sequence[Run], bands: Sequence[Mapping[str, Band]]) -> bytes:
-    """Where each channel is predicted to be, a row for each run, channel and sample, as CSV."""
+    """Return the prediction bands as CSV, with a row for each run, channel and sample."""
     words = ("run", "channel", "unit")
     numbers = ("time_s", "recorded", "median", "low", "high", "low_with_noise", "high_with_noise")
     columns: dict[str, list[object]] = {name: [] for name in (*words, *numbers)}
@@ -270,8 +318,12 @@ def _bands_table(runs: Sequence[Run], bands: Sequence[Mapping[str, Band]]) -> by
     return to_csv(columns)
 
 
-_MOST_BYTES = 600_000  # a page stays below 5 MB; a larger picture is left in its file
-_PICTURES = {CORNER: "pairs of parameters", BANDS: "channels with the bands of the posterior"}
+_MOST_BYTES = 600_000  # a page must stay below 5 MB, so a larger picture is only in its file
+_PICTURES = {
+    CORNER: "pairs of parameters",
+    TRACE: "draws of each chain, and their ranks",
+    BANDS: "recorded channels with the bands of the posterior",
+}
 
 
 def _table(summary: PosteriorSummary, result: FitResult, most: int | None = None) -> Table:

@@ -1,4 +1,4 @@
-"""Profiles as a table, a picture and a section of a page, in the units of the columns."""
+"""Display profiles as a table, a picture and a section of a page, in the units of the columns."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,24 +31,24 @@ PROFILE_HEADINGS = (
     "value",
     "error",
     "unit",
-    "interval from error",
+    "interval from standard error",
     "profile interval",
     "remark",
 )
 
-# More pictures than this are small print, and more plots a page that no phone opens.
+# More panels than this are too small, and a page with more plots is too large for a phone.
 _MOST, _ACROSS, _MOST_ON_PAGE = 12, 3, 24
 
-_ABOVE = 1.6  # a picture ends so far above the deviance of the interval
+_ABOVE = 1.6  # upper end of a picture, as a multiple of the deviance at the ends of the interval
 
 
 class ProfileCurve(NamedTuple):
-    """What a picture of a profile shows, in the unit of the columns.
+    """Data for the plot of a profile, in the unit of the columns.
 
-    Deviances are those of the points from the lowest; `bounded` are points with another parameter
-    at a bound that is at none in the fit. The line through them, whose root is smooth, has values
-    `between`; the parabola of the standard error, if there is one, is the `line` at `over`. The
-    interval ends at the deviance `level`.
+    Deviances are relative to the lowest point. `bounded` marks points at which another parameter is
+    at a bound that it is not at in the fit. The curve through the points, whose square root is
+    smooth, has the values `smooth` at `between`. The parabola of the standard error, if it exists,
+    has the values `line` at `over`. The interval ends at the deviance `level`.
     """
 
     name: str
@@ -65,7 +65,7 @@ class ProfileCurve(NamedTuple):
 
 
 def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
-    """A row of text for each profile, by `PROFILE_HEADINGS`."""
+    """Return a row of text for each profile, under `PROFILE_HEADINGS`."""
     rows = []
     for profile in profiles.profiles.values():
         factor, unit = _in_columns(profile, result.model)
@@ -78,9 +78,9 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
 
 
 def profile_figure(profiles: Profiles, result: FitResult, title: str = "Profiles") -> Figure:
-    """Deviances over their quantities, with the parabolas of the standard errors.
+    """Plot deviances versus their quantities, with the parabolas of the standard errors.
 
-    Of many profiles it shows the first twelve.
+    With many profiles, the first twelve are shown.
     """
     curves = _curves(profiles, result, _MOST)
     across = max(min(_ACROSS, len(curves)), 1)
@@ -99,7 +99,7 @@ def profile_figure(profiles: Profiles, result: FitResult, title: str = "Profiles
 
 
 def _curves(profiles: Profiles, result: FitResult, most: int) -> list[ProfileCurve]:
-    """What there is to draw, without profiles of a single point."""
+    """Return the curves to draw, without profiles of a single point."""
     drawn = [one for one in profiles.profiles.values() if len(one.points) > 1]
     return [_curve(one, result) for one in drawn[:most]]
 
@@ -139,7 +139,7 @@ def _curve(profile: Profile, result: FitResult) -> ProfileCurve:
 
 
 def _shown(deviances: np.ndarray, level: float) -> slice:
-    """The points that a picture has: far ones would make of the part that counts a line."""
+    """Return the points to draw; distant ones would compress the relevant range."""
     inside = np.flatnonzero(deviances <= _ABOVE * level)
     return slice(max(int(inside[0]) - 1, 0), min(int(inside[-1]) + 2, len(deviances)))
 
@@ -169,7 +169,7 @@ def _draw(axes: Axes, curve: ProfileCurve) -> None:
 
 
 def _in_columns(profile: Profile, model: AbstractModel) -> tuple[float, str]:
-    """What the quantity is multiplied by in the unit of the columns, and that unit."""
+    """Return the factor from the quantity to the unit of the columns, and this unit."""
     one = Estimate(1.0, None, profile.unit, None, None, free=True)
     shown = in_column_units({profile.name: one}, model)[profile.name]
     return float(shown.value), shown.unit
@@ -196,7 +196,7 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
 
 
 def _plot(curve: ProfileCurve) -> str:
-    """A profile with the parabola of the standard error, as what BokehJS embeds."""
+    """Return a plot of a profile with the parabola of the standard error, as JSON for BokehJS."""
     from bokeh.models import BoxAnnotation, ColumnDataSource, Span
 
     top = _ABOVE * curve.level

@@ -1,4 +1,4 @@
-"""Repetitions of a fit, and the influence of its data: tables, sentences, pictures, sections."""
+"""Display bootstrap and influence: tables, sentences, pictures and sections of a page."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,14 +26,14 @@ from ._style import (
 from ._views import PageSection, RecordView, Table
 
 _ACROSS = 3
-# More histograms than these are small print, and on a page still fewer are enough.
+# More histograms are too small to read, and a page needs fewer.
 _MOST_DRAWN, _MOST_ON_PAGE = 12, 6
 
 
 def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
-    """Headings and a row for each parameter, and for what follows from them; SI.
+    """Return headings, and a row for each parameter and each derived quantity, in SI.
 
-    Each Monte Carlo error is one standard deviation; the coverage is that of the 95 % interval.
+    Monte Carlo errors are one standard deviation. The coverage is that of the 95 % interval.
     """
     headings = ["parameter", "value", "error", "unit", "bias / error", "spread / error"]
     headings += ["percentile interval", "basic interval"]
@@ -55,14 +55,16 @@ def bootstrap_table(found: Bootstrap) -> tuple[list[str], list[list[str]]]:
 
 
 def bootstrap_summary(found: Bootstrap) -> list[str]:
-    """Sentences beside the table: what was done, what came back, and what is left out."""
+    """Return sentences for the table: the method, the converged repetitions, and omissions."""
     kind = "data simulated with the fitted model and noise model"
     if found.method == "block":
         kind = "data simulated with the fitted model and resampled blocks of residuals"
-    how = "including the noise estimation" if found.whole else "with fixed noise"
+    how = "with the noise estimated again" if found.whole else "with fixed noise"
     sentences = [f"{found.size} repetitions, seed {found.seed}: {kind}, each fitted {how}"]
     if found.size < found.asked:
-        sentences.append(f"{found.asked - found.size} of {found.asked} were not completed")
+        sentences.append(
+            f"{found.asked - found.size} of {found.asked} repetitions were not completed"
+        )
     share = 100 * found.came_back / found.size
     others = f"; the others failed: {_listed(found.reasons)}" if found.reasons else ""
     sentences.append(f"{found.came_back} of {found.size} fits converged ({share:.3g} %){others}")
@@ -74,8 +76,8 @@ def bootstrap_summary(found: Bootstrap) -> list[str]:
         sentences.append(f"samples per block: {_listed(found.block_lengths)}")
     if found.noise_factor != 1:
         sentences.append(
-            f"the simulated noise is {found.noise_factor:.3g} times the stated noise, like the "
-            "residuals"
+            f"the simulated noise is {found.noise_factor:.3g} times the stated noise, to match "
+            "the residuals"
         )
     return [*sentences, *found.failures, *found.notes]
 
@@ -89,8 +91,8 @@ def _drawn(found: Bootstrap, most: int) -> list[tuple[str, Repeated]]:
 
 
 def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
-    """Where the repetitions ended, over what the standard error of the result lets expect."""
-    # Slow to import, and asked for by this picture alone.
+    """Plot the estimates of the repetitions and their distribution expected from the result."""
+    # Imported here, because the import is slow and only this picture needs it.
     from scipy.stats import norm
 
     drawn = _drawn(found, _MOST_DRAWN)
@@ -155,8 +157,8 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
         table=Table(*bootstrap_table(found)),
         sentences=others,
         plots=[(path, _histogram(one)) for path, one in _drawn(found, _MOST_ON_PAGE)],
-        note="Bars: estimates of the repetitions. Dashed line: the result that "
-        "generated their data. Red: interval that contains 95 % of the estimates.",
+        note="Bars: estimates of the repetitions. Dashed line: the result from which their data "
+        "were simulated. Red: interval that contains 95 % of the estimates.",
     )
 
 
@@ -192,16 +194,16 @@ RecordView(
 )
 
 
-# More rows than these are a list to read in the file.
+# A longer list should be read in the file.
 _MOST_PARTS = 30
-_MOST_COLUMNS = 12  # columns in which numbers can still be read
+_MOST_COLUMNS = 12  # with more columns, numbers are not legible
 
 
 def influence_table(found: Influence, most: int | None = None) -> tuple[list[str], list[list[str]]]:
-    """Headings and a row for each part, the largest shift first.
+    """Return headings and a row for each part, the largest shift first.
 
-    Under each parameter its shift in standard errors and, in brackets, what its error would be
-    without the part, in the same.
+    Below each parameter is its shift in units of the standard error and, in brackets, its error
+    without the part in the same unit.
     """
     paths = _columns(found)
     headings = ["part left out", "kind", "cells", "method", "shift / expected", *paths]
@@ -216,10 +218,11 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
 
 
 def influence_summary(found: Influence) -> list[str]:
-    """Sentences beside the table: what it shows, what failed, and what is left out."""
+    """Return sentences for the table: its meaning, failures, and omissions."""
     sentences = [
-        "shift of each parameter when the part is left out, in standard errors, with the relative "
-        "size of its error in brackets; a part contradicts the others if shift / expected exceeds 3"
+        "shift of each parameter when the part is left out, in units of its standard error, with "
+        "its standard error without the part in the same units in brackets; a part contradicts "
+        "the others if shift / expected exceeds 3"
     ]
     lost = [part for part in found.parts if None in part.steps.values()]
     for path in found.parameters:
@@ -235,10 +238,10 @@ def influence_summary(found: Influence) -> list[str]:
 
 
 def influence_figure(found: Influence, title: str = "") -> Figure:
-    """A map of the shifts: parts by parameters, the largest shift first."""
+    """Plot the shifts as a map: parts by parameters, the largest shift first."""
     parts, paths = found.parts[:_MOST_PARTS], _columns(found)[:_MOST_COLUMNS]
-    title = (
-        title or "Shift of each parameter when a part of the data is left out, in standard errors"
+    title = title or (
+        "Parameter shifts without each part of the data, in units of the standard error"
     )
     figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
     axes = figure.add_subplot()
@@ -268,13 +271,13 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
 
 
 def _columns(found: Influence) -> list[str]:
-    """The parameters that runs share, if there are any: those of single runs fill no table."""
+    """Return the shared parameters, or without any those of single runs, which are too many."""
     shared = [label for label in found.parameters if " of '" not in label]
     return shared or list(found.parameters)
 
 
 def _cell(part: LeftOut, path: str) -> str:
-    if path not in part.shifts:  # Its own, and gone with it.
+    if path not in part.shifts:  # a parameter of this part, which is left out with it
         return ""
     shift = part.shifts[path]
     wider = (part.widening if part.exact_widening is None else part.exact_widening)[path]

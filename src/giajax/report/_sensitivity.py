@@ -1,4 +1,4 @@
-"""Sensitivities as pictures and tables: over time, and the information in each body."""
+"""Plots and tables of sensitivities: versus time, and the information in each body."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,13 +8,13 @@ from ..recordings import Channel
 from ..studies import Sensitivity
 from ._style import BLUE, GREY, columns_of, new_figure, plain, plain_colorbar, to_csv
 
-_MOST_NAMES = 25  # more names than this beside a map cannot be read
+_MOST_NAMES = 25  # more names next to a map are not legible
 
 
 def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: str = "") -> Figure:
-    """How far each body moves with each parameter over time, and its share of the information.
+    """Plot the sensitivity of each body to each parameter versus time, and its information.
 
-    `noise` is the standard deviation of white noise, SI: one number, or one per channel.
+    `noise` is the standard deviation of white noise, SI: one number, or one for each channel.
     """
     names, sizes = sensitivity.lengths()
     shares = information_shares(sensitivity, noise)
@@ -55,10 +55,10 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
 
 
 def information_shares(sensitivity: Sensitivity, noise: npt.ArrayLike) -> np.ndarray:
-    """Part of the information about each parameter that each body carries.
+    """Return the fraction of the information on each parameter that each body provides.
 
-    `noise` is the standard deviation of white noise, SI: one number, or one per channel.
-    Shares are from 0 to 1, of shape (body, parameter).
+    `noise` is the standard deviation of white noise, SI: one number, or one for each channel.
+    Fractions are from 0 to 1, of shape (body, parameter).
     """
     alone = np.diagonal(sensitivity.information(noise), axis1=1, axis2=2)
     total = alone.sum(axis=0)
@@ -66,9 +66,9 @@ def information_shares(sensitivity: Sensitivity, noise: npt.ArrayLike) -> np.nda
 
 
 def sensitivity_files(sensitivity: Sensitivity, noise: npt.ArrayLike) -> dict[str, str]:
-    """`sensitivity.csv`, derivatives over time, and `information.csv`, by body; as text.
+    """Return `sensitivity.csv` (derivatives versus time) and `information.csv` (by body) as text.
 
-    `noise` is the standard deviation of white noise, SI: one number, or one per channel.
+    `noise` is the standard deviation of white noise, SI: one number, or one for each channel.
     """
     parameters = list(zip(sensitivity.parameters, sensitivity.units, strict=True))
     units = [Channel.named(name).si_unit for name in sensitivity.channels]

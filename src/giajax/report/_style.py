@@ -1,4 +1,4 @@
-"""How all pictures look, and how they become files. Touches nothing global of matplotlib."""
+"""Style of all pictures and their conversion to files, without global settings of matplotlib."""
 
 import base64
 import io
@@ -17,7 +17,7 @@ from ..fitting import FitResult
 from ..models import Block, Scene
 from ..runtime.pictures import SIGNATURE, Picture, picture_formats
 
-# Okabe and Ito's colours, which people who see red and green alike can tell apart.
+# Okabe and Ito's colours, which people with red-green colour blindness can distinguish.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY, LIGHT = "#222222", "#767676", "#E3E3E3"
@@ -27,30 +27,30 @@ DEGREE = "\N{DEGREE SIGN}"
 
 _HEADERS: dict[str, dict[str, Any]] = {
     "png": {"Software": SIGNATURE},
-    # Without a date, the same picture is the same file.
+    # Without a date, the same picture gives the same file.
     "svg": {"Creator": SIGNATURE, "Date": None},
     "pdf": {"Creator": SIGNATURE, "CreationDate": None},
 }
 
 _SETTINGS: Any = {
-    # Text that can be searched, read out and edited; whoever lacks the font sees another one.
+    # Text can be searched, read aloud and edited; a missing font is replaced.
     "svg.fonttype": "none",
     "svg.hashsalt": "giajax",
-    # TrueType: journals refuse Type 3.
+    # TrueType, because journals refuse Type 3 fonts.
     "pdf.fonttype": 42,
 }
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """An empty picture of this size (inches)."""
-    # A Figure that pyplot does not know has no window and chooses no backend.
+    """Return an empty figure of this size (inches)."""
+    # A Figure made without pyplot has no window and selects no backend.
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     figure.suptitle(title, fontsize=10, color=INK, x=0.01, ha="left")
     return figure
 
 
 def plain(axes: Axes, title: str = "", across: str = "", up: str = "") -> None:
-    """A light grid, two spines, small print; a title and labels where they are given."""
+    """Set a light grid, two spines and small text, with a title and labels if they are given."""
     axes.grid(True, color=LIGHT, linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
@@ -67,7 +67,7 @@ def plain(axes: Axes, title: str = "", across: str = "", up: str = "") -> None:
 
 
 def plain_colorbar(axes: Axes, image: Any, **place: Any) -> Any:
-    """A bar of the colours of an image in small print, without a frame."""
+    """Add a colour bar with small text and without a frame."""
     bar = axes.figure.colorbar(image, ax=axes, **place)
     bar.ax.tick_params(labelsize=8, length=0, labelcolor=INK)
     bar.outline.set_visible(False)
@@ -75,24 +75,24 @@ def plain_colorbar(axes: Axes, image: Any, **place: Any) -> Any:
 
 
 def unfinished(result: FitResult) -> str:
-    """What a title says of a fit that did not end well."""
+    """Return the part of a title on a fit that did not converge."""
     return "" if result.status == "converged" else f" ({result.status.replace('_', ' ')})"
 
 
 def as_data(content: bytes) -> str:
-    """A PNG file as an address that a page holds in itself."""
+    """Encode a PNG file as a data URL."""
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def to_png(figure: Figure) -> Picture:
-    """The picture as a PNG file, with the other formats that were chosen.
+    """Return the figure as a PNG file, with the other selected formats.
 
-    The same bytes for the same picture.
+    Equal figures give equal bytes.
     """
     chosen = picture_formats()
     figure.set_dpi(chosen.dpi)
     if (engine := figure.get_layout_engine()) is not None:
-        # Matplotlib draws a picture twice to lay it out once.
+        # Compute the layout once, because matplotlib draws a figure twice for it.
         engine.execute(figure)
         figure.set_layout_engine("none")
     with matplotlib.rc_context(_SETTINGS):
@@ -108,14 +108,14 @@ def _saved(figure: Figure, ending: str, dpi: int) -> bytes:
 
 
 def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
-    """An empty plot of this height that is as wide as its place, for BokehJS."""
+    """Return an empty plot for BokehJS with this height, as wide as its place on the page."""
     from bokeh.plotting import figure
 
     plot = figure(
         height=height,
         sizing_mode="stretch_width",
         tools="xpan,box_zoom,reset",
-        # None for the wheel: who scrolls the page does not mean to zoom.
+        # The wheel must not zoom, because users scroll the page with it.
         active_drag="box_zoom",
         toolbar_location="above",
         x_axis_label=across,
@@ -135,17 +135,17 @@ def new_plot(height: int, across: str, up: str, **more: Any) -> Any:
 
 
 def small(values: np.ndarray) -> np.ndarray:
-    """As seven digits, which no screen shows: half of the page's size."""
+    """Round values to seven digits, which halves the size of a page without a visible effect."""
     return np.asarray(values, dtype=np.float32)
 
 
 def columns_of(headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> dict[str, list[Any]]:
-    """Rows as columns by heading, which are there without any row, too."""
+    """Return rows as columns by heading; the headings are present even without rows."""
     return {heading: [row[at] for row in rows] for at, heading in enumerate(headings)}
 
 
 def embedded(plot: Any, renderer: Any, tips: list[tuple[str, str]]) -> str:
-    """What BokehJS embeds, as JSON: the plot, whose renderer shows the tips."""
+    """Return a plot as JSON for BokehJS; its renderer shows the tips."""
     from bokeh.embed import json_item
     from bokeh.models import HoverTool
 
@@ -154,14 +154,14 @@ def embedded(plot: Any, renderer: Any, tips: list[tuple[str, str]]) -> str:
 
 
 def grid_of(figure: Figure, count: int, across: int) -> Iterator[Axes]:
-    """So many panels, row by row, of at most `across` columns."""
+    """Yield this number of panels, row by row with at most `across` columns."""
     across = max(min(across, count), 1)
     for place in range(count):
         yield figure.add_subplot(-(-count // across), across, place + 1)
 
 
 def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:
-    """Words, numbers (with nine digits) or truth values by heading, as a CSV file."""
+    """Return words, numbers (nine digits) or truth values by heading as a CSV file."""
     rows = [",".join(map(_cell, row)) for row in zip(*columns.values(), strict=True)]
     return ("\n".join([",".join(columns), *rows]) + "\n").encode()
 
@@ -169,7 +169,7 @@ def to_csv(columns: Mapping[str, Iterable[Any]]) -> bytes:
 def _cell(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"' if "," in value else value
-    # A truth value is a number to numpy, and so to float.
+    # numpy, and therefore float, treats a truth value as a number.
     return str(value).lower() if str(value) in ("True", "False") else f"{float(value) + 0.0:.9g}"
 
 
@@ -186,12 +186,12 @@ def draw_scene(
     colours: Mapping[str, str] | None = None,
     widths: Mapping[str, float] | None = None,
 ) -> None:
-    """Draw one sample of a scene, to scale: bodies in grey, threads, and markers as dots.
+    """Draw one sample of a scene to scale: bodies in grey, threads, and markers as dots.
 
     Arguments:
-        axes: which two coordinates are seen: "xz" from the side, "xy" from above.
-        colours: of lines by name; grey for bodies and blue for threads by default.
-        widths: of threads by name, points; 1.4 by default.
+        axes: the two visible coordinates: "xz" from the side, "xy" from above.
+        colours: colours of lines by name; the default is grey for bodies and blue for threads.
+        widths: widths of threads by name, points; the default is 1.4.
     """
     seen = ["xyz".index(name) for name in axes]
     for line in scene.lines:
@@ -212,7 +212,7 @@ def draw_scene(
 
 
 def draw_blocks(panel: Axes, blocks: Sequence[Block], *, axes: str = "xz") -> None:
-    """Draw what stands around, seen as by `draw_scene`; the limits of the panel stay."""
+    """Draw the obstacles in the view of `draw_scene`, without a change of the limits."""
     seen, limits = ["xyz".index(name) for name in axes], (panel.get_xlim(), panel.get_ylim())
     signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
     for block in blocks:
@@ -226,11 +226,11 @@ def draw_blocks(panel: Axes, blocks: Sequence[Block], *, axes: str = "xz") -> No
 
 
 def _outline(points: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """Both edges of a round body about a polyline, shape (2 point, 2)."""
+    """Return both edges of a round body about a polyline, shape (2 point, 2)."""
     steps = np.diff(points, axis=0)
     steps = np.concatenate([steps[:1], steps[:-1] + steps[1:], steps[-1:]])
     lengths = np.linalg.norm(steps, axis=1, keepdims=True)
-    # A body that is seen along its axis has no direction in the picture: any will do.
+    # A body seen along its axis has no direction in the picture, so any direction is used.
     along = np.where(lengths > 0, steps / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0])
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) * radii[:, None]
     return np.concatenate([points + across, (points - across)[::-1]])

@@ -1,4 +1,4 @@
-"""Suspects, stepwise selection and systematic errors as tables of text cells."""
+"""Display suspects, stepwise selection and systematic errors as tables of text cells."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -36,21 +36,21 @@ SUSPECT_HEADINGS = (
 
 
 def suspect_rows(found: Suspects, most: int = 10) -> Rows:
-    """The most promising suspects under `SUSPECT_HEADINGS`, and all that are significant."""
+    """Return the most promising suspects, and all significant ones, under `SUSPECT_HEADINGS`."""
     shown = [row for row in found.promising if row.chi_square_drop and not row.explained_by]
     surely = sum(not row.explained_by for row in found.significant)
     return [_cells(row) for row in shown[: max(most, surely)]]
 
 
 def first_suspects(result: FitResult, most: int = 3) -> Rows:
-    """The first suspects that a result carries, as `suspect_rows`."""
+    """Return the first suspects of a result, in the form of `suspect_rows`."""
     return [_cells(row) for row in significant(result)[:most]]
 
 
 def significant(result: FitResult) -> list[Suspect]:
-    """The suspects of a result that are significant, the most promising first, a group as one.
+    """Return the significant suspects of a result, the most promising first, a group as one.
 
-    None of an adequate model, of which by chance every twentieth has one.
+    For an adequate model the list is empty, because one in twenty has a suspect by chance.
     """
     if result.verdict.status == "adequate":
         return []
@@ -72,7 +72,7 @@ def _cells(row: Suspect) -> list[str]:
         shown = format_estimate(estimate, error if isinstance(error, float) else None)
     remarks = [row.note] if row.note else []
     if row.begun:
-        remarks.append("with the initial values of the fit")
+        remarks.append("tested with the initial values of the fit")
     if others := dict.fromkeys([*row.alike, *row.together]):
         remarks.append(f"the data can hardly distinguish it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:
@@ -91,7 +91,7 @@ def _cells(row: Suspect) -> list[str]:
 
 
 def suspect_summary(found: Suspects) -> list[str]:
-    """Sentences beside the table: what chi-square is, and what the data cannot tell."""
+    """Return sentences for the table: the chi-square, and what the data cannot test."""
     sentences = [
         f"chi-square {found.chi_square:.5g} for {found.values} values and {found.parameters} "
         f"fitted parameters; {found.asked} tests, with p-values corrected for multiple testing"
@@ -107,7 +107,7 @@ def suspect_summary(found: Suspects) -> list[str]:
 
 
 def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
-    """Headings and a row for each fit: what it has more, how good it is, and its parameters."""
+    """Return headings and a row for each fit: its addition, fit statistics, and parameters."""
     first = list(found.steps[0].result.free)
     held_out = any(step.held_out is not None for step in found.steps)
     headings = ["added", "chi-square", "AIC", "BIC", *(["held out"] if held_out else []), *first]
@@ -123,7 +123,7 @@ def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
 
 
 def explained_table(found: Explanation, rows: Sequence[ExplainedStep]) -> Table:
-    """Headings and a row for each fit: what it changed, how good it is, and what was asked for."""
+    """Return headings and a row for each fit: its change, fit statistics, and the parameters."""
     paths = [one.path for one in found.parameters]
     headings = ["step", "chi-square", "BIC", "p", "held out", *paths]
     return Table(
@@ -143,7 +143,7 @@ def explained_table(found: Explanation, rows: Sequence[ExplainedStep]) -> Table:
 
 
 def explained_summary(found: Explanation) -> list[str]:
-    """Sentences on what was found, how it ended, and how sure the selection is."""
+    """Return sentences on the findings, the end of the search, and its reliability."""
     added = ", ".join(found.added) or "nothing"
     last = found.steps[-1]
     sentences = [
@@ -156,8 +156,8 @@ def explained_summary(found: Explanation) -> list[str]:
         later = "".join(f" before {step.change}" for step in found.steps if step.kind == "data")
         off, off_first = judged[-1].held_out, judged[0].held_out
         sentences.append(
-            f"the prediction error of the held-out data{later} is {off:.3g} times their noise "
-            f"({off_first:.3g} with the first model)"
+            f"the prediction error of the held-out data{later} is {off:.3g} times the noise of "
+            f"these data ({off_first:.3g} times with the first model)"
         )
     if found.outliers:
         sentences.append(f"{found.outliers} outliers were found: the loss is {found.loss}")
@@ -175,9 +175,9 @@ def explained_summary(found: Explanation) -> list[str]:
             value, error = format_estimate(one.value, one.total_error)
             unit = f" {one.unit}" if one.unit else ""
             sentences.append(
-                f"{one.path} = {value} +- {error}{unit}, of which "
-                f"{format_number(one.selection_error, '.2g')} results from other models that fit "
-                "nearly as well"
+                f"{one.path} = {value} +- {error}{unit}, where "
+                f"{format_number(one.selection_error, '.2g')} of the error results from other "
+                "models that fit nearly as well"
             )
         sentences.append(
             "the errors are conditional on a model that was selected with the same data"
@@ -210,10 +210,10 @@ def _estimate(one: Estimate | None) -> str:
 
 
 def systematic_table(result: FitResult) -> tuple[list[str], Rows]:
-    """Headings and rows: what each held number does to each fitted parameter, in standard errors.
+    """Return headings and the effect of each held number on each parameter, in standard errors.
 
-    Below them the statistical error, that of what was stated, and both in quadrature, in the unit
-    of the parameter.
+    Below them are the statistical error, the error due to the stated uncertainties, and their sum
+    in quadrature, in the unit of the parameter.
     """
     statistical = {path: one.standard_error for path, one in result.free.items()}
     rows = [_held(error, statistical) for error in result.systematic]
@@ -252,7 +252,7 @@ PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 
 
 def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list[str], Rows]]:
-    """Headings and rows of two tables: of the parameters, and of the results as a whole."""
+    """Return headings and rows of two tables: of the parameters, and of the results."""
     names = [column.name for column in found.columns]
     headings = ["parameter", "unit", *names, *(f"{name} - {names[0]}" for name in names[1:])]
     rows = [
@@ -278,7 +278,7 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
 
 
 def contrast_json(found: Contrast) -> str:
-    """The same as JSON, at full precision."""
+    """Return the same tables as JSON, at full precision."""
 
     def facts(one: Estimate | None) -> dict[str, Any] | None:
         if one is None:
@@ -302,11 +302,11 @@ def contrast_json(found: Contrast) -> str:
 
 
 def estimate_cell(one: Estimate | None) -> str:
-    """Value and error; of what was held or tied, that it was."""
+    """Return value and error of an estimate, or that it was held or tied."""
     if one is None:
         return "-"
     value, error = format_estimate(one.value, one.standard_error)
     if error != "-":
         return f"{value} {PLUS_MINUS} {error}"
-    # The remark of what was tied says to what, too, which is no text for a cell.
+    # The remark of a tied parameter includes the expression, which is too long for a cell.
     return f"{value} ({'not determined' if one.free else one.remark.partition(':')[0] or 'held'})"

@@ -1,4 +1,4 @@
-"""A result as text: the parameter table and what else a reader must know."""
+"""A result as text: the table of parameters and a summary."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -25,17 +25,17 @@ RESULT = "result.json"
 PAGE = "report.html"
 
 MOST_RUNS = 6
-"""How many are drawn: a picture takes a second, and twenty are too many to look at."""
+"""Maximum number of runs that are drawn, because a picture takes a second."""
 
 
 def worth_drawing(result: FitResult) -> list[int]:
-    """All runs, or of many those that are described worst, in their order."""
+    """Return the numbers of all runs or, with many, of those with the largest residuals."""
     worst = sorted(range(len(result.runs)), key=lambda index: -times_noise(result.runs[index]))
     return sorted(worst[:MOST_RUNS])
 
 
 def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
-    """The largest RMSE over noise of some channels, or of all; infinite where one is not finite."""
+    """Return the largest RMSE / noise of some or all channels; infinite if one is not finite."""
     channels = [record.channels[name] for name in (record.channels if names is None else names)]
     ratios = [
         math.inf if c.rmse is None else c.rmse / c.compared_noise if c.compared_noise else 0.0
@@ -44,17 +44,17 @@ def times_noise(record: RunFit, names: Iterable[str] | None = None) -> float:
     return max(ratios, default=0.0)
 
 
-# Without one of two equal recordings errors are 1.4 times as large; more than this is worth a word.
+# Without one of two equal recordings, errors are 1.4 times as large. A larger factor is reported.
 _NOTABLE = 2.0
 
-# A factor is shown up to here; beyond it hardly anything is known without the recording.
+# A larger factor is not shown: the recording is then practically the only source.
 _LARGE = 1000.0
 
 
 def source_lines(result: FitResult) -> list[str]:
-    """A line for each recording that determines something which the others hardly do.
+    """Return a line for each recording that determines a parameter almost alone.
 
-    Such as `bench: only source of information on alpha.offset`.
+    An example is `bench: only source of information on alpha.offset`.
     """
     alone: dict[str, list[str]] = {}
     mostly: dict[str, list[str]] = {}
@@ -68,14 +68,14 @@ def source_lines(result: FitResult) -> list[str]:
     lines = []
     for recording in dict.fromkeys([*alone, *mostly]):
         said = {"only source of information on": alone.get(recording)}
-        said["factor on the errors without this recording:"] = mostly.get(recording)
+        said["factor by which errors increase without this recording:"] = mostly.get(recording)
         parts = [f"{words} {', '.join(paths)}" for words, paths in said.items() if paths]
         lines.append(f"{recording}: {'; '.join(parts)}")
     return lines
 
 
 def _by_unit(run: RunFit | PredictionErrors | HeldOut) -> dict[str, list[str]]:
-    """Names of the channels of each unit; the unit as it stands behind a number."""
+    """Return the names of the channels of each unit, in the form that follows a number."""
     by_unit: dict[str, list[str]] = {}
     for name, channel in run.channels.items():
         by_unit.setdefault(_unit(channel.unit), []).append(name)
@@ -87,7 +87,7 @@ def _unit(unit: str) -> str:
 
 
 def _held_out(record: HeldOut) -> list[str]:
-    """How well what was held out of a run is predicted."""
+    """Return lines on the prediction errors of the held-out part of a run."""
     lines = []
     for unit, names in _by_unit(record).items():
         channels = [record.channels[name] for name in names]
@@ -107,7 +107,7 @@ def _counts(names: Sequence[str], values: int) -> str:
 
 
 def _range(values: Sequence[float | None], digits: int = 3) -> str:
-    """The smallest and the largest of what is known and finite; empty where nothing is."""
+    """Return the range of the known finite values as text; empty if there are none."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     if not known:
         return ""
@@ -116,7 +116,7 @@ def _range(values: Sequence[float | None], digits: int = 3) -> str:
 
 
 def _verdict(result: FitResult) -> list[str]:
-    """Whether the model describes the data, and a line for each reason why it does not."""
+    """Return the verdict on the model, and a line for each reason why it is inadequate."""
     verdict = result.verdict
     if not verdict.reasons:
         return [verdict.status]
@@ -125,7 +125,7 @@ def _verdict(result: FitResult) -> list[str]:
 
 
 def _noise(result: FitResult) -> list[str]:
-    """What was taken for correlated noise, and what it does to the standard errors."""
+    """Return a line on the correlated noise and its effect on the standard errors."""
     if result.noise is None or not result.noise.widening:
         return []
     channels = [pair for run in result.runs for pair in run.channels.items()]
@@ -135,34 +135,35 @@ def _noise(result: FitResult) -> list[str]:
     sentence = f"correlated over {span} s in {names} of {every} channels"
     if trends := result.noise.trends:
         sentence += (
-            f"; in {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} over at least half of the "
-            "record: the model lacks a trend, or the stated noise is too large; the standard "
-            "errors are not reduced"
+            f"; the correlation of {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} extends "
+            "over at least half of the record: the model lacks a trend, or the stated noise is "
+            "too large; the standard errors are not reduced"
         )
     if factors := _range(list(result.noise.widening.values()), 2):
         sentence += (
-            f"; the standard errors are {factors} times those of white noise of the same size"
+            f"; the standard errors are {factors} times the standard errors for white noise of "
+            "the same size"
         )
     return [sentence]
 
 
-_MANY = 8  # more lines of residuals than this are summed up
+_MANY = 8  # more lines on residuals are summarised
 _LABEL = 20  # width of the labels of a summary
 
 
 def parameter_table(result: FitResult, width: int | None = None) -> str:
-    """The free and the fixed parameters: value, standard error, unit, bounds and remark.
+    """Return the free and held parameters: value, standard error, unit, bounds and remark.
 
-    Where the remarks do not fit into `width` columns, each goes below its row. Without a width
-    nothing is wrapped: a row is a line, for grep and awk.
+    If the remarks do not fit into `width` columns, each is below its row. Without a width nothing
+    is wrapped, so each row is one line for grep and awk.
     """
     return estimate_table(in_column_units(result.shown, result.model), width)
 
 
 def summary(result: FitResult, width: int | None = None) -> str:
-    """How the fit ended, how well it describes the data, and what its values rest on.
+    """Return how the fit ended, how well it describes the data, and its conditions.
 
-    Without a width, the columns that there are, nothing is wrapped.
+    Without a width, which is the number of columns, nothing is wrapped.
     """
     rows = summary_rows(result)
     lines = (wrapped(text, width, name.ljust(_LABEL), " " * _LABEL) for name, text in rows)
@@ -170,7 +171,7 @@ def summary(result: FitResult, width: int | None = None) -> str:
 
 
 def summary_rows(result: FitResult) -> list[tuple[str, str]]:
-    """The summary as pairs of a label (which may be empty) and a sentence."""
+    """Return the summary as pairs of a label (which may be empty) and a sentence."""
     rows = [("status", result.headline)]
 
     def add(label: str, texts: Iterable[str]) -> None:
@@ -206,7 +207,7 @@ def summary_rows(result: FitResult) -> list[tuple[str, str]]:
 
 
 def _starts(result: FitResult) -> list[str]:
-    """How many starts ended where the result is, which other optima there are, and what failed."""
+    """Return lines on the initial guesses: those that reached the result, others, and failures."""
     if not result.starts:
         return []
     best = misfit(result)
@@ -216,15 +217,18 @@ def _starts(result: FitResult) -> list[str]:
     text = f"{near} of {len(result.starts)} ended at this optimum"
     worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
     if worse:
-        text += f"; the others are worse by {worse[0]:.2g} to {worse[-1]:.2g} in log-likelihood "
-        text += "per value"
+        text += (
+            f"; the log-likelihood per value of the others is lower by {worse[0]:.2g} to "
+            f"{worse[-1]:.2g}"
+        )
     lines = [text]
     others = [optimum for optimum in distinct_optima(result) if not optimum.is_result]
     for optimum in others[:_MANY]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
         who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
         lines.append(
-            f"another optimum was reached from {who}, worse by {optimum.worse:.3g}: {where} (SI)"
+            f"another optimum was reached from {who}, with a log-likelihood lower by "
+            f"{optimum.worse:.3g}: {where} (SI)"
         )
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()
@@ -232,7 +236,7 @@ def _starts(result: FitResult) -> list[str]:
 
 
 def _of_runs(runs: Sequence[_Run], of_one: Callable[[_Run], list[str]], what: str) -> list[str]:
-    """Lines of each run; of many, one line a channel: smallest, median and largest RMSE."""
+    """Return the lines of each run; with many, a line per channel with the range of the RMSE."""
     each = [line for run in runs for line in of_one(run)]
     if len(each) <= _MANY:
         return each
@@ -250,7 +254,7 @@ def _of_runs(runs: Sequence[_Run], of_one: Callable[[_Run], list[str]], what: st
 
 
 def _errors(run: PredictionErrors) -> list[str]:
-    """RMSE of the prediction of a run that was not fitted."""
+    """Return lines with the RMSE of the prediction of a run that was not fitted."""
     lines = []
     for unit, names in _by_unit(run).items():
         shown = ", ".join(f"{name} {_rmse(run.channels[name].rmse)}" for name in names)
@@ -262,11 +266,11 @@ def _rmse(value: float | None) -> str:
     return format_number(value, ".3g", "not finite")
 
 
-_WEIGHTED = 1.1  # times the white noise in the weights of a fit: worth a word
+_WEIGHTED = 1.1  # a larger ratio of the noise in the weights to the white noise is reported
 
 
 def _residuals(run: RunFit) -> list[str]:
-    """One line for a few channels, one line per unit for many."""
+    """Return lines on the residuals: for a few channels by channel, for many by unit."""
     channels = run.channels
     lines = []
     for unit, names in _by_unit(run).items():
@@ -290,7 +294,7 @@ def _residuals(run: RunFit) -> list[str]:
 
 
 def strongest_correlation(result: FitResult) -> tuple[float, str, str] | None:
-    """The largest correlation, and the parameters that it is between; None where there is none."""
+    """Return the largest correlation and its two parameters; None if there is none."""
     paths = result.correlation.parameters
     pairs = [
         (abs(correlation), correlation, paths[j], paths[i])
@@ -302,11 +306,12 @@ def strongest_correlation(result: FitResult) -> tuple[float, str, str] | None:
 
 
 def correlation_text(value: float) -> str:
-    """A correlation with three digits where two would round to one, which none here is."""
+    """Return a correlation with two digits, or with three if two would round to one."""
     return "?" if math.isnan(value) else f"{value:.{3 if abs(value) >= 0.995 else 2}f}"
 
 
-# A fit with derivatives wrong by this much may stop anywhere. In 64-bit a good one has 1e-5.
+# A fit whose derivatives have this relative error may stop anywhere. Usual errors in 64-bit
+# arithmetic are 1e-5.
 WRONG_DERIVATIVES = 1e-2
 
 

@@ -1,7 +1,7 @@
-"""How a record beside a result is shown: a table, a section of its page, and a view of its type.
+"""Display of a record of a study: a table, a section of the result's page, and a registered view.
 
-A command and the page of a result know records by their type alone. A view is known once it is
-made: those of this room are found by their files, an application makes its own from above.
+Commands and the page of a result select the view by the type of the record. A view is registered
+when it is made. Those of this package are found by their files, and an application makes its own.
 """
 
 import functools
@@ -17,14 +17,14 @@ from ..runtime.limits import RESULT_BYTES
 from ..runtime.text import InputError
 from ..studies import StudyRecord
 
-if TYPE_CHECKING:  # Slow to import, and no table needs it.
+if TYPE_CHECKING:  # the import is slow, and tables do not need it
     from matplotlib.figure import Figure
 
 R = TypeVar("R", bound=StudyRecord)
 
 
 class Table(NamedTuple):
-    """Headings and rows of text; how many columns at the left are words."""
+    """Headings and rows of text, and the number of columns at the left that contain words."""
 
     headings: list[str]
     rows: list[list[str]]
@@ -33,10 +33,10 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PageSection:
-    """A section of a page, from top to bottom; each plot and picture with a title.
+    """A section of a page, from top to bottom; each plot and picture has a title.
 
-    It stands beside the parameters where it is `early`, and a long table is `folded` under what its
-    rows are called. Warnings are in bold, the note in small print.
+    An `early` section is next to the parameters. A long table is collapsed, with `folded` as the
+    name of its rows. Warnings are bold, and the note is in small text.
     """
 
     id: str
@@ -55,15 +55,15 @@ class PageSection:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordView(Generic[R]):
-    """How records of one type are shown.
+    """Display of the records of one type.
 
     Attributes:
-        record: the type.
-        table: of a record, the result and a number of rows (None for all).
-        sentences: below the table, likewise.
-        figure: the picture of a record beside its file; None where the files have another way.
-        section: of the page, of a record, the result and its folder.
-        place: of its section among those of a page.
+        record: type of the record.
+        table: function of a record, the result and a number of rows (None for all).
+        sentences: function of a record and a number of rows, for the text below the table.
+        figure: function that draws the picture of a record; None if its files contain one anyway.
+        section: function of a record, the result and its folder, for the section of a page.
+        place: order of the section on a page.
     """
 
     record: type[R]
@@ -74,7 +74,7 @@ class RecordView(Generic[R]):
     place: int = 9
 
     def __post_init__(self) -> None:
-        # Those of giajax are made when one is looked for, and do not replace another one.
+        # Views of giajax are made on demand and do not replace an existing one.
         _VIEWS.setdefault(self.record, self)
 
 
@@ -88,15 +88,15 @@ def _make_views() -> None:
 
 
 def view_of(record: R) -> RecordView[R]:
-    """How a record is shown."""
+    """Return the view of a record."""
     _make_views()
     return _VIEWS[type(record)]
 
 
 def sections(result: FitResult, source: Path | None) -> list[PageSection]:
-    """The sections of a page on the records that lie beside a result, the `source`, if it has one.
+    """Return the sections of a page for the records stored next to a result (`source`), if any.
 
-    What is of another fit has none; in place of what is damaged is a sentence.
+    Records of another fit are left out, and a damaged record is replaced by a sentence.
     """
     if source is None:
         return []

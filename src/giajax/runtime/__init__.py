@@ -1,1 +1,1 @@
-"""What every room needs and no physics knows: files, text, cores, compiled programs, many tasks."""
+"""Common infrastructure without physics: files, text, cores, compiled programs and tasks."""

@@ -1,7 +1,7 @@
-"""Names of earlier versions: they work on with a warning until a stated date.
+"""Names of earlier versions, which continue to work with a warning until a given date.
 
-`docs/migration.md` lists them. A module that has moved is found by the first entry of the path of
-`giajax`, which is not a folder, and what it had is looked up where it is now.
+`docs/migration.md` lists them. Modules that have moved are found through an entry of the path of
+`giajax` that is not a folder, and their contents are looked up in their current modules.
 """
 
 import importlib
@@ -42,7 +42,7 @@ MOVED: dict[str, tuple[str, ...]] = {
     "viewer": ("apps.viewer",),
     "wind": ("apps.wind",),
 }
-"""Present location of the public names of each earlier module, within `giajax`."""
+"""Current location of the public names of each earlier module, within `giajax`."""
 
 _REPORTS = {
     "apps.design": "DESIGN_HEADINGS design_figure design_json design_rows",
@@ -55,7 +55,7 @@ _REPORTS = {
     "apps.wind": "wind_figure wind_json",
 }
 
-# What `giajax` itself had, by the room that has it now.
+# Former public names of `giajax` itself, by the package that contains them now.
 _TO_ROOMS = {
     "apps.control": "Compensator compensator_for_loop compensator_for_model",
     "apps.design": "Design Limits",
@@ -123,13 +123,14 @@ RENAMED: dict[str, dict[str, str]] = {
     },
     "verdict": {"Foretold": "fitting.PredictedChannel", "Predictions": "fitting.PredictionTest"},
 }
-"""Present location of each public name, by its earlier package ("" for `giajax`)."""
+"""Current location of each public name, by its earlier package ("" for `giajax`)."""
 
 
 def earlier(room: str, level: int = 3) -> Callable[[str], Any]:
-    """The `__getattr__` of a room, by its `__name__`, for names that have moved or changed.
+    """Return the `__getattr__` of a package for names that have moved or changed.
 
-    A warning points `level` up the stack: one more where a function calls this one.
+    `room` is the `__name__` of the package. `level` is the stack level of the warning, one more if
+    another function calls this one.
     """
     names = RENAMED[room.partition(".")[2]]
 
@@ -147,19 +148,20 @@ _PLACE = str(Path(__file__).parent / "earlier modules")
 
 
 def install(path: list[str]) -> None:
-    """Have the earlier modules found; called once, where `giajax` is imported, with its path."""
+    """Make the earlier modules importable; called once with the path of the package `giajax`."""
     if _Finder not in sys.path_hooks:
         sys.path_hooks.append(_Finder)
-    # After the folder of the package: what an earlier version left in it has no loader, and waits.
+    # The entry comes after the folder of the package. Files that an earlier version left in that
+    # folder have no loader there and do not interfere.
     path.append(_PLACE)
 
 
-class _Finder:  # not of importlib.abc, whose import takes a tenth of that of `--help`
-    """Finds the earlier modules, and fills them with what looks their names up."""
+class _Finder:  # not derived from importlib.abc, whose import takes a tenth of the time of `--help`
+    """Finder and loader of the earlier modules, which look up names in the current modules."""
 
     def __init__(self, entry: str) -> None:
         if entry != _PLACE:
-            raise ImportError("not the place of the earlier modules", path=entry)
+            raise ImportError("this is not the path of the earlier modules", path=entry)
 
     def find_spec(
         self, fullname: str, target: ModuleType | None = None
@@ -168,7 +170,7 @@ class _Finder:  # not of importlib.abc, whose import takes a tenth of that of `-
         return importlib.machinery.ModuleSpec(fullname, cast(Any, self)) if known else None
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> None:
-        """None: as Python makes it."""
+        """Return None, for the default behaviour of Python."""
 
     def exec_module(self, module: ModuleType) -> None:
         package, _, name = module.__name__.rpartition(".")
@@ -191,13 +193,13 @@ class _Finder:  # not of importlib.abc, whose import takes a tenth of that of `-
 
 
 def warn_of_name(before: str, now: str) -> None:
-    """Say that an attribute has another name now; called by the property of the earlier name."""
+    """Warn that an attribute has a new name; called by the property with the earlier name."""
     _warn(before, now, 4)
 
 
 def _warn(before: str, now: str, level: int) -> None:
     warnings.warn(
-        f"{before} is now {now}: use the new name; the old name works until {UNTIL}",
+        f"{before} is now {now}: use the new name, because the old name works only until {UNTIL}",
         DeprecationWarning,
         stacklevel=level,
     )

@@ -1,4 +1,4 @@
-"""Array types, roots, and functions of arrays: sums and derivatives along a chain, too."""
+"""Array types, array functions, roots, and efficient sums and derivatives along a chain."""
 
 import functools
 import inspect
@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 Scalar = Float[Array, ""]
 
 
-# Vectors of a chain are stored component first, `(3, link)`: every operation below then works on
-# whole rows, which is what makes one evaluation of the dynamics a few microseconds.
+# Vectors of a chain are stored component first, `(3, link)`. Each operation below then works on
+# whole rows, so one evaluation of the dynamics takes a few microseconds.
 
 
 def on_device(values: Any, dtype: Any = None) -> Array:
-    """Numbers that are known now, and are not changed afterwards, as an array of JAX.
+    """Return concrete, constant numbers as a JAX array, without compiling a program.
 
-    Without a program: `jnp.asarray` compiles one for every shape, in each process again.
+    `jnp.asarray` compiles a program for each shape in each process.
     """
     return jax.device_put(np.asarray(values, dtype))
 
 
-# In functions of their own: where one function has some ten thousand operations (contact with
-# friction, and joints that remember), XLA loses which calls of LAPACK have which arguments, and
-# refuses them: "no registered implementation for untyped custom call".
+# These are separate compiled functions. If a function has about ten thousand operations (contact
+# with friction, and joints with memory), XLA confuses the arguments of LAPACK calls and fails with
+# "no registered implementation for untyped custom call".
 
 
 @jax.jit
 def cholesky_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """The lower Cholesky factor, from the lower triangle."""
+    """Return the lower Cholesky factor, from the lower triangle."""
     return jax.lax.linalg.cholesky(matrix, symmetrize_input=False)
 
 
@@ -46,13 +46,13 @@ def cholesky_factor(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
 def factor_with_rows(
     matrix: Float[Array, "n n"], rows: Float[Array, "row n"]
 ) -> tuple[Float[Array, "n n"], Float[Array, "row n"]]:
-    """The lower Cholesky factor L, from the lower triangle, and rows times L^-T.
+    """Return the lower Cholesky factor L, from the lower triangle, and rows times L^-T.
 
-    Below the matrix, as more rows of it, they come out of the factorisation as more rows of L.
-    That is a call of LAPACK less, and a batch of accelerations of 20 links a seventh faster.
+    The rows are appended to the matrix, so the factorisation returns them as further rows of L.
+    This saves a LAPACK call and makes a batch of accelerations of 20 links a seventh faster.
     """
     more, count = rows.shape
-    # What stands in the corner is no part of the solution, as long as a root of it is left.
+    # The corner does not affect the solution as long as the root of its diagonal remains real.
     corner = float(np.sqrt(jnp.finfo(rows.dtype).max)) * np.eye(more, dtype=rows.dtype)
     extended = jnp.pad(matrix, ((0, more), (0, more)))
     extended = extended.at[count:, :count].set(rows).at[count:, count:].set(corner)
@@ -64,7 +64,7 @@ def factor_with_rows(
 def solve_lower(
     factor: Float[Array, "n n"], b: Float[Array, "n column"]
 ) -> Float[Array, "n column"]:
-    """L^-1 b, of a lower triangle L."""
+    """Return L^-1 b for a lower triangular matrix L."""
     return jax.lax.linalg.triangular_solve(factor, b, left_side=True, lower=True)
 
 
@@ -72,33 +72,33 @@ def solve_lower(
 def solve_upper(
     factor: Float[Array, "n n"], b: Float[Array, "n column"]
 ) -> Float[Array, "n column"]:
-    """L^-T b, of a lower triangle L."""
+    """Return L^-T b for a lower triangular matrix L."""
     return jax.lax.linalg.triangular_solve(factor, b, left_side=True, lower=True, transpose_a=True)
 
 
 @jax.jit
 def inverse_of_positive(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """The inverse of a positive matrix, from its lower triangle."""
+    """Return the inverse of a positive definite matrix, from its lower triangle."""
     factor, one = cholesky_factor(matrix), jnp.eye(len(matrix), dtype=matrix.dtype)
-    # From the right, rows stay rows for LAPACK, and nothing is transposed.
+    # A solution from the right keeps the order of rows for LAPACK, so nothing is transposed.
     half = jax.lax.linalg.triangular_solve(factor, one, left_side=False, lower=True)
     return half.T @ half
 
 
 @jax.jit
 def solution_by_factor(factor: Float[Array, "n n"], b: Float[Array, " n"]) -> Float[Array, " n"]:
-    """A^-1 b of a positive matrix A = L L^T, from L."""
+    """Return A^-1 b for a positive definite matrix A = L L^T, from L."""
     half = jax.lax.linalg.triangular_solve(factor, b[None], lower=True, transpose_a=True)
     return jax.lax.linalg.triangular_solve(factor, half, lower=True)[0]
 
 
 def dot(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
-    """Scalar product over the first axis."""
+    """Return the scalar product over the first axis."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Array, "3 *shape"]:
-    """Vector product over the first axis."""
+    """Return the vector product over the first axis."""
     return jnp.stack(
         [
             a[1] * b[2] - a[2] * b[1],
@@ -111,16 +111,16 @@ def cross(a: Float[Array, "3 *shape"], b: Float[Array, "3 *shape"]) -> Float[Arr
 def scaled(
     factor: Float[Array, "*shape"], vector: Float[Array, "3 *shape"]
 ) -> Float[Array, "3 *shape"]:
-    """Each vector times its own number."""
+    """Multiply each vector by its own factor."""
     return factor[None] * vector
 
 
 def safe_norm(x: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
-    """Euclidean norm over the first axis, with the derivative 0 at 0.
+    """Return the Euclidean norm over the first axis, with the derivative 0 at 0.
 
-    `sqrt` has an infinite slope at 0, so that `norm(v) * v` differentiates to NaN for an arm at
-    rest, although its derivative there is 0. The inner `where` keeps `sqrt` away from 0; the
-    outer one puts the true value back.
+    `sqrt` has an infinite slope at 0, so the derivative of `norm(v) * v` would be NaN for an arm at
+    rest, although the true derivative is 0. The inner `where` keeps the argument of `sqrt` away
+    from 0. The outer `where` restores the correct value.
     """
     square = dot(x, x)
     zero = square == 0
@@ -128,36 +128,36 @@ def safe_norm(x: Float[Array, "3 *shape"]) -> Float[Array, "*shape"]:
 
 
 def larger(x: Array, y: Array | float) -> Array:
-    """The larger of two, element by element; where both are equal, the derivative is that of x.
+    """Return the elementwise maximum, with the derivative of x where both are equal.
 
-    This, and the functions below, choose by a comparison. The derivatives of `jnp.maximum`,
-    `jnp.minimum`, `jnp.clip` and `jnp.hypot` ask whether the result equals an argument. A compiler
-    may work out that argument twice and round it differently (a product and a sum in one
-    instruction): then nothing is equal, and the derivative is 0 where it is not. As there, what is
-    not a number makes none.
+    This function and the functions below select by a comparison. The derivatives of `jnp.maximum`,
+    `jnp.minimum`, `jnp.clip` and `jnp.hypot` test whether the result equals an argument. A compiler
+    may compute that argument twice with different rounding (for example a product and a sum in one
+    instruction). Then neither argument equals the result, and the derivative is wrongly 0. NaN is
+    propagated, as in those functions.
     """
     return jnp.where((x < y) | (y != y), y, x)
 
 
 def smaller(x: Array, y: Array | float) -> Array:
-    """The smaller of two, element by element; where both are equal, the derivative is that of x."""
+    """Return the elementwise minimum, with the derivative of x where both are equal."""
     return jnp.where((x > y) | (y != y), y, x)
 
 
 def limited(x: Array, low: Array | float, high: Array | float) -> Array:
-    """x within two limits, element by element; at a limit, the derivative is that of x."""
+    """Clip x to two limits, element by element, with the derivative of x at a limit."""
     return smaller(larger(x, low), high)
 
 
 def hypotenuse(x: Array, y: Array) -> Array:
-    """sqrt(x^2 + y^2), for lengths whose squares are neither 0 nor infinite."""
+    """Return sqrt(x^2 + y^2), for lengths whose squares are neither 0 nor infinite."""
     return jnp.sqrt(x * x + y * y)
 
 
 def quaternion_product(
     a: Float[Array, "4 *shape"], b: Float[Array, "4 *shape"]
 ) -> Float[Array, "4 *shape"]:
-    """Hamilton product of quaternions stored `(w, x, y, z)` along the first axis."""
+    """Return the Hamilton product of quaternions stored `(w, x, y, z)` along the first axis."""
     return jnp.stack(
         [
             a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -171,27 +171,27 @@ def quaternion_product(
 def rotate(
     quaternion: Float[Array, "4 *shape"], vector: Float[Array, "3 *shape"]
 ) -> Float[Array, "3 *shape"]:
-    """Turn vectors by unit quaternions."""
+    """Rotate vectors by unit quaternions."""
     twice = 2 * cross(quaternion[1:], vector)
     return vector + scaled(quaternion[0], twice) + cross(quaternion[1:], twice)
 
 
 def rotation_vector_to_quaternion(rotation: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Unit quaternion of a rotation vector (axis times angle, rad), differentiable at 0."""
+    """Return the unit quaternion of a rotation vector (axis times angle, rad), smooth at 0."""
     half = safe_norm(rotation) / 2
     # sin(half) / (2 half) = sinc(half / pi) / 2, which numpy defines at 0.
     return jnp.concatenate([jnp.cos(half)[None], rotation * jnp.sinc(half / jnp.pi) / 2])
 
 
 def sobol_points(count: int, dimensions: int, seed: int) -> Float[np.ndarray, "point dimension"]:
-    """Points of a scrambled Sobol sequence in the unit cube, none of them on its faces.
+    """Return points of a scrambled Sobol sequence in the interior of the unit cube.
 
-    More of them have the same first ones.
+    A larger number of points starts with the same points.
     """
-    # Takes a second to import.
+    # Imported here because it takes a second.
     from scipy.stats import qmc
 
-    # The seed was called otherwise before SciPy 1.15.
+    # The argument for the seed had another name before SciPy 1.15.
     name = "rng" if "rng" in inspect.signature(qmc.Sobol.__init__).parameters else "seed"
     sobol = qmc.Sobol(dimensions, **{name: seed})
     points = sobol.random_base2(max(count - 1, 1).bit_length())[:count]
@@ -199,7 +199,7 @@ def sobol_points(count: int, dimensions: int, seed: int) -> Float[np.ndarray, "p
     return np.asarray(np.clip(points, edge, 1 - edge))
 
 
-# Halvings after which 90 deg are less than the rounding of a double.
+# Number of bisections after which an interval of 90 deg is shorter than the rounding of a double.
 _HALVINGS = 56
 _NEWTON_STEPS = 8
 
@@ -210,11 +210,13 @@ def bisect(
     upper: Scalar,
     signs: tuple[Scalar, Scalar] | None = None,
 ) -> Scalar:
-    """A point between `lower` and `upper` where the sign changes; NaN where it does not.
+    """Return a point between `lower` and `upper` at which the sign changes; NaN if it does not.
 
     Arguments:
-        signs: of the function at both, where they are known. A root at one of them is lost where
-            another evaluation rounds to the other sign.
+        function: function of one variable.
+        lower, upper: ends of the interval.
+        signs: signs of the function at both ends, if known. Without them, a root at an end is
+            missed if another evaluation rounds to the other sign.
     """
     start, end = signs or (jnp.sign(function(lower)), jnp.sign(function(upper)))
     differs = start * end <= 0
@@ -232,11 +234,11 @@ def bisect(
 def polish(
     function: Callable[[Array, Any], Array], guess: Scalar, arguments: Any
 ) -> tuple[Scalar, Array]:
-    """The root near a guess by Newton's method, and whether it converged.
+    """Return the root near a guess by Newton's method, and whether it converged.
 
-    It is differentiable in `arguments` (implicitly).
+    The root is differentiable with respect to `arguments` (implicit differentiation).
     """
-    # Slow to import, and needed only where a program is traced.
+    # Imported here because it is slow to import and needed only while a program is traced.
     import optimistix as optx
 
     tolerance = 8 * float(jnp.finfo(guess.dtype).eps)
@@ -251,24 +253,25 @@ def polish(
     return solution.value, jnp.asarray(solution.result == optx.RESULTS.successful)
 
 
-# Loops, sums and derivatives along a chain, written so that XLA makes few kernels of them.
+# Loops, sums and derivatives along a chain, written such that XLA creates few kernels.
 
-# A call of a kernel takes as long as a hundred operations, on a CPU.
+# On a CPU, a kernel call takes as long as a hundred operations.
 
-# XLA makes a kernel of a loop that touches less than 1024 bytes each time round
-# (`SmallWhileLoopHoistingPass`): two columns of so many numbers, and what counts them.
+# XLA compiles a loop to a single kernel if it accesses less than 1024 bytes per iteration
+# (`SmallWhileLoopHoistingPass`). This corresponds to two columns of this many numbers and the loop
+# counter.
 _ROWS = 18
 
-_LOOPS = 8  # more loops than this take longer than what they are instead of
+_LOOPS = 8  # more loops than this are slower than the alternative
 
 
 def in_small_loops(
     x: Array, loop: Callable[[Array], Array], instead: Callable[[Array], Array]
 ) -> Array:
-    """What a function makes of all rows (along the last axis), a few at a time.
+    """Apply a loop to all rows (along the last axis), a few rows at a time.
 
-    `loop` goes over the places of some rows, shape (row, place); `instead` is of `x` where rows
-    are missing or too many.
+    `loop` processes the places of some rows, shape (row, place). `instead` is applied to `x` if
+    there are no rows or too many.
     """
     rows: Any = x.reshape(-1, x.shape[-1]) if x.size else x[:0]
     loops = -(-len(rows) // _ROWS)
@@ -282,23 +285,23 @@ def in_small_loops(
 def lower_by_platform(
     primitive: Any, on_cpu: Callable[..., Any], elsewhere: Callable[..., Any]
 ) -> None:
-    """Say what a primitive with one result is made of, on a CPU and elsewhere."""
+    """Define the lowering of a primitive with one result on a CPU and on other platforms."""
     mlir.register_lowering(primitive, mlir.lower_fun(elsewhere, multiple_results=False))
     lowered = mlir.lower_fun(on_cpu, multiple_results=False)
     mlir.register_lowering(primitive, lowered, platform="cpu")
 
 
-# Sums along a chain, as a CPU computes them quickly.
+# Sums along a chain, computed efficiently on a CPU.
 #
-# `jax.numpy.cumsum` becomes a tree of slices, a product with a triangle a call of a library: for
-# the few hundred additions of a chain both take several times as long as these, and a small loop
-# does not. What a sum is made of depends on how many rows it has in the end, with all directions
-# of a derivative and all members of a batch, and is chosen when a program is lowered; so it is a
-# primitive.
+# `jax.numpy.cumsum` becomes a tree of slices, and a product with a triangular matrix becomes a
+# library call. For the few hundred additions of a chain, both are several times slower than the
+# additions, and a small loop is not. The best form depends on the final number of rows, including
+# all directions of a derivative and all members of a batch. It is chosen when a program is lowered,
+# so the sum is a primitive.
 
 
 def running_sum(x: Float[Array, "*row n"], *, backwards: bool = False) -> Float[Array, "*row n"]:
-    """Sums over each place along the last axis and all before it; `backwards`: all after it."""
+    """Return cumulative sums along the last axis; with `backwards`, from the end."""
     total: Array = _running_sum_p.bind(x, backwards=backwards)
     return total
 
@@ -328,7 +331,7 @@ def _loop(rows: Array, *, backwards: bool) -> Array:
 
 
 def _transposed(cotangent: Any, x: Any, *, backwards: bool) -> list[Any]:
-    """What a place is added to lies on its other side."""
+    """Return the transpose: the same sum in the other direction."""
     del x
     return [running_sum(cotangent, backwards=not backwards)]
 
@@ -346,21 +349,21 @@ lower_by_platform(_running_sum_p, _sum_on_cpu, _product)
 
 # Derivatives that XLA computes once.
 #
-# What is made of a vector by a few operations XLA joins into one kernel with it, and computes the
-# vector anew for each of its uses: for each component of a cross product twice. Of motions that
-# costs little, but the derivatives of forces have a hundred operations. On a CPU nothing but a
-# loop that is a kernel of its own keeps them apart: an `optimization_barrier` is gone before
-# kernels are made.
+# XLA fuses a few operations on a vector with the computation of the vector into one kernel, and
+# computes the vector again for each use: for each component of a cross product twice. This is cheap
+# for motions, but the derivatives of forces have a hundred operations. On a CPU, only a loop that
+# is a separate kernel prevents the fusion. An `optimization_barrier` is removed before kernels are
+# created.
 
 
 def derivative_barrier(x: Float[Array, "*row n"]) -> Float[Array, "*row n"]:
-    """Rows along a chain, with derivatives (in forward mode) computed apart from what uses them."""
+    """Return rows along a chain whose forward derivatives are computed apart from their uses."""
     same: Array = _once_p.bind(x, now=False)
     return same
 
 
 def computed_once(x: Float[Array, "*row n"]) -> Float[Array, "*row n"]:
-    """Rows along a chain that are computed apart from what uses them."""
+    """Return rows along a chain that are computed apart from their uses."""
     same: Array = _once_p.bind(x, now=True)
     return same
 

@@ -1,4 +1,4 @@
-"""Many tasks on many workers: this process, processes of this machine, or a cluster; resumable."""
+"""Resumable execution of many tasks, in this process, on its machine, or on a cluster."""
 
 import contextlib
 import contextvars
@@ -45,21 +45,23 @@ from .text import InputError, abridged, error_in_words, install_command
 
 Kept = TypeVar("Kept")
 
-# What a process keeps for the tasks to come; a study has few structures.
+# Number of prepared objects that a process keeps for later tasks. A study has few structures.
 _MOST = 8
 _kept: "OrderedDict[Hashable, Any]" = OrderedDict()
 _keeping = threading.RLock()
 
 
 def prepared(key: Hashable, make: Callable[[], Kept]) -> Kept:
-    """What a process prepares once for many tasks: recordings that it read, a model it built.
+    """Return an object that a process prepares once for many tasks, such as recordings or a model.
 
-    It is that of an earlier task, if that was one of the last few of this process. The programs of
-    giajax need no such place: they are compiled once a process and structure.
+    The object of an earlier task is returned if it was one of the last few that this process used.
+    The compiled programs of giajax need not be kept here, because they are compiled once per
+    process and structure.
 
     Arguments:
-        key: of all that it depends on, such as the checksums of files and a structure.
-        make: makes it.
+        key: key of everything on which the object depends, such as the checksums of files and a
+            structure.
+        make: function that prepares the object.
     """
     with _keeping:
         if key not in _kept:
@@ -71,22 +73,23 @@ def prepared(key: Hashable, make: Callable[[], Kept]) -> Kept:
 
 
 def identity() -> str:
-    """Machine and process, as `host:process`."""
+    """Return the machine and the process, as `host:process`."""
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
 def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
-    """Do a task, unless it has a file in the folder, and write that if it is done.
+    """Perform a task unless its outcome is in the folder, and write the outcome there.
 
-    Whatever the function raises is an outcome, too; what is stopped raises `KeyboardInterrupt`.
-    Another process than `home`, whose tasks these are, gets ready first, as one of its `own` does.
+    Errors of the function are recorded as a failed outcome. A stopped task raises
+    `KeyboardInterrupt`. A process other than `home`, which created the tasks, is set up first, as a
+    process of the command line if `own`.
     """
     if home != identity():
         get_ready(own)
     if folder is not None and (known := read_outcome(folder, task.key)) is not None:
         return known
     if stop_of_thread.get() is None:
-        from .programs import forget_programs_if_many  # not before the process is ready for JAX
+        from .programs import forget_programs_if_many  # after the setup of JAX in this process
 
         forget_programs_if_many()
     began = time.perf_counter()
@@ -97,15 +100,16 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
         message = str(error)
     except (SystemExit, KeyboardInterrupt, GeneratorExit):
         raise
-    except BaseException as error:  # Polars' PanicException is no Exception
+    except BaseException as error:  # Polars' PanicException is not an Exception
         message = error_in_words(error)
-    # A fit that is stopped returns, and what it returns is no result.
+    # A stopped fit returns an incomplete result, which is not an outcome.
     if is_stopped():
         raise KeyboardInterrupt
     seconds = time.perf_counter() - began
     status: Literal["failed", "done"] = "failed" if message else "done"
     outcome = Outcome(task.key, status, value, message, seconds, identity())
-    # What fails may do so by the machine, or by what is put right: the next command tries again.
+    # A failed task has no file, because the cause may be the machine or be corrected later. The
+    # next command repeats it.
     if folder is not None and not message:
         write_outcome(folder, outcome)
     return outcome
@@ -113,7 +117,7 @@ def perform(task: Task, folder: Path | None, home: str, own: bool) -> Outcome:
 
 @functools.cache
 def get_ready(own: bool) -> None:
-    """Set a worker up as the command line sets up itself, on one thread; once a process."""
+    """Set up a worker like the command line, on one thread; once per process."""
     os.environ.update(_VARIABLES)
     if own:
         own_process()
@@ -121,11 +125,11 @@ def get_ready(own: bool) -> None:
 
 
 def begin_process(own: bool, alive: Connection, added: Mapping[Path, str]) -> None:
-    """Begin a process of `Processes`, which ends when its parent closes the other end of a pipe.
+    """Initialise a process of `Processes`, which ends when its parent closes a pipe.
 
-    That is closed where the parent is killed, too. Plug-ins are those of the parent.
+    The pipe is also closed if the parent is killed. The process loads the plug-ins of the parent.
     """
-    # What a terminal sends goes to all its processes: the parent says what becomes of the others.
+    # A terminal sends signals to all its processes. The parent decides when the others stop.
     for number in {signal.SIGINT, HANGUP} - {signal.SIGTERM}:
         signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
@@ -140,7 +144,7 @@ def _end_with(alive: Connection) -> None:
     os._exit(1)
 
 
-# Others have the other cores. NPROC is how many threads XLA begins.
+# Other processes use the other cores. NPROC is the number of threads that XLA starts.
 _VARIABLES = {
     CORES_VARIABLE: "1",
     "NPROC": "1",
@@ -151,7 +155,7 @@ _VARIABLES = {
 
 @contextlib.contextmanager
 def worker_environment() -> Iterator[None]:
-    """Processes that are spawned meanwhile read these variables before they import anything."""
+    """Set variables that processes spawned in this context read before they import anything."""
     new = {**_VARIABLES, "EQX_ON_ERROR": os.environ.get("EQX_ON_ERROR", "nan")}
     before = {name: os.environ.get(name) for name in new}
     os.environ.update(new)
@@ -165,14 +169,14 @@ def worker_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
-_PATIENCE = "10s"  # with a scheduler that does not answer
+_PATIENCE = "10s"  # timeout for a scheduler that does not answer
 
 
 class InProcess(Executor):
-    """Does a task when it is submitted, in the thread of the caller."""
+    """Executor that performs a task when it is submitted, in the calling thread."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Call a function now."""
+        """Call a function immediately."""
         future: Future[Any] = Future()
         try:
             future.set_result(function(*args, **kwargs))
@@ -182,15 +186,15 @@ class InProcess(Executor):
 
 
 class Threads(Executor):
-    """Threads of this process, as many as cores: for tasks that compute in one program on one.
+    """Threads of this process, at most as many as cores, for tasks that each use one core.
 
-    They share the compiled programs, and see the context of the thread that submits.
+    They share the compiled programs and inherit the context of the thread that submits.
     """
 
     def __init__(self, most: int) -> None:
         from .programs import forget_programs_if_many
 
-        forget_programs_if_many()  # not while a thread computes with them
+        forget_programs_if_many()  # not while a thread uses them
         self.workers = min(most, cores())
         self._stop = threading.Event()
         self._blas = contextlib.ExitStack()
@@ -198,27 +202,27 @@ class Threads(Executor):
         self._pool = ThreadPoolExecutor(self.workers, "giajax")
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have a thread call a function."""
+        """Call a function in a thread."""
         context = contextvars.copy_context()
         context.run(stop_of_thread.set, self._stop)
         call = carried(function, self.workers)
         return self._pool.submit(context.run, call, *args, **kwargs)
 
     def stop(self) -> None:
-        """Tell the tasks to stop, and wait until they have."""
+        """Stop the tasks and wait until they have ended."""
         self._stop.set()
         self.shutdown(cancel_futures=True)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the threads when they have done what was submitted."""
+        """End the threads after the submitted tasks."""
         self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
         self._blas.close()
 
 
 class Processes(Executor):
-    """Spawned processes of this machine, one thread each; new ones where one has died.
+    """Spawned processes of this machine, with one thread each; dead processes are replaced.
 
-    JAX does not survive a fork. The processes end with this one, however it ends.
+    JAX does not survive a fork. The processes end with this process, however it ends.
     """
 
     def __init__(self, workers: int) -> None:
@@ -228,7 +232,7 @@ class Processes(Executor):
         self._pool: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have a worker call a function; the workers begin with the first."""
+        """Call a function in a worker; the workers start with the first call."""
         with worker_environment():
             if self._pool is not None:
                 try:
@@ -249,33 +253,34 @@ class Processes(Executor):
         )
 
     def stop(self) -> None:
-        """End the processes now, whatever they do; the next task begins new ones."""
+        """End the processes immediately; the next task starts new ones."""
         if self._pool is not None:
             self._alive.close()
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes when they have done what was submitted."""
+        """End the processes after the submitted tasks."""
         if self._pool is not None:
             self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
 
 @contextlib.contextmanager
 def open_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
-    """The executor of `run_tasks` that `--workers` and `--scheduler` request, until the block ends.
+    """Return the executor for `--workers` and `--scheduler`, which is open until the block ends.
 
-    So many processes of this machine (None or 1: this one), or a cluster of dask.distributed at
-    `tcp://host:8786`, whose workers have this version of giajax and see the same files.
+    It uses `workers` processes of this machine (None or 1: the current process), or a
+    dask.distributed cluster at `tcp://host:8786`, whose workers have this version of giajax and
+    access the same files.
 
     Raises:
-        InputError: both were asked for, a number that is none, no such scheduler, or
+        InputError: both are given; the number is invalid; there is no such scheduler; or
             `distributed` is not installed.
     """
     if scheduler is not None:
         if workers is not None:
             raise InputError(
-                "both workers on this machine and a scheduler are given: give only one of them"
+                "both workers on this machine and a scheduler are given: give only one of the two"
             )
         if added := [path.name for path in plugins()]:
             raise InputError(
@@ -297,7 +302,7 @@ def _connected(address: str) -> Iterator[Any]:
         from distributed import Client
     except ImportError:
         raise InputError(
-            "a scheduler needs the package distributed, which is not installed: "
+            "a scheduler requires the package distributed, which is not installed: "
             f"{install_command('cluster')}"
         ) from None
     try:
@@ -313,14 +318,14 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 ATTEMPTS = 3
-"""Maximum number of attempts of a task whose worker ends; a cluster has its own limit."""
+"""Maximum number of attempts at a task whose worker ends. A cluster has its own limit."""
 
-_AHEAD = 256  # tasks that wait at the workers of an executor that somebody else has made
-_BETWEEN_S = 2.0  # between two looks at whether the scheduler of a cluster is there, s
+_AHEAD = 256  # maximum number of tasks submitted to an executor of the caller
+_BETWEEN_S = 2.0  # interval between checks of the scheduler of a cluster, s
 
 
 class Execution(TypedDict, total=False):
-    """Keywords of all studies: who does their tasks, and what is kept; as of `run_tasks`."""
+    """Keywords of all studies for the execution and storage of their tasks; as for `run_tasks`."""
 
     executor: Executor | None
     folder: str | Path | None
@@ -334,31 +339,33 @@ def run_tasks(
     folder: str | Path | None = None,
     progress: Callable[[Outcome, int, int], None] | None = None,
 ) -> list[Outcome]:
-    """Do tasks, each once.
+    """Perform each of some tasks once.
 
-    With a folder, the worker that does a task writes `KEY.json` into it before it says so. What
-    has a file is not done again: after a crash or Ctrl-C the same call goes on. Workers of other
-    machines must see the folder, and have this version of giajax.
+    With a folder, the worker that performs a task writes `KEY.json` into it before it reports the
+    outcome. A task with a file is not performed again, so the same call continues after a crash or
+    Ctrl-C. Workers on other machines must access the folder and have this version of giajax.
 
-    Whatever a task raises makes it a failed one, with a sentence and without a file: the next call
-    begins it again. If its worker ends under it, it is begun again, alone and `ATTEMPTS` times at
-    most; how often a cluster has tried it is the cluster's own choice.
+    If a task raises an error, its outcome is "failed", with a sentence and without a file, and the
+    next call repeats it. If its worker ends during the task, the task is repeated alone, with at
+    most `ATTEMPTS` attempts in total. A cluster has its own number of attempts.
 
     Arguments:
-        tasks: in any order; those of the same key are done once.
-        executor: any of `concurrent.futures`, such as that of `open_executor`; by default this
-            process, one after the other. It is not shut down.
-        folder: of the files, made where it is missing; None keeps them in memory.
-        progress: called after each with its outcome, how many there are now (those of the folder
-            too) and how many there will be.
+        tasks: tasks in any order; tasks with the same key are performed once.
+        executor: any executor of `concurrent.futures`, for example from `open_executor`. By
+            default, the tasks are performed one after the other in this process. The executor is
+            not shut down.
+        folder: folder of the files, created if it is missing; None keeps the outcomes in memory
+            only.
+        progress: function that is called after each task with its outcome, the number of known
+            outcomes (including those in the folder) and the total number.
 
     Returns:
-        An outcome for each task, in their order. After Ctrl-C, which stops the workers that
-        `open_executor` began, those that were not completed are "stopped".
+        An outcome for each task, in the same order. After Ctrl-C, which stops the workers of
+        `open_executor`, tasks that were not completed are "stopped".
 
     Raises:
-        InputError: a folder that cannot be or be written, an executor that takes no tasks, or a
-            cluster whose scheduler is gone. The same call goes on.
+        InputError: the folder is invalid or cannot be written; the executor accepts no tasks; or
+            the scheduler of a cluster is lost. The same call can be repeated to continue.
 
     Example:
         >>> from giajax.runtime.tasks import Task
@@ -385,10 +392,10 @@ def run_tasks(
 
 
 class _Study:
-    """Tasks by key, and what is known of them.
+    """Tasks by key, and their known outcomes.
 
-    A process that dies takes all tasks with it that the pool had: each of them may have killed
-    it. They are begun again one at a time, so that the one that kills is found and no other fails.
+    When a process of a pool dies, all tasks of the pool are lost, and each of them may be the
+    cause. They are repeated one at a time, so only the task that kills its worker fails.
     """
 
     def __init__(
@@ -420,7 +427,7 @@ class _Study:
             if self.doubtful and not self.running:
                 self._begin(self.doubtful.popleft())
             done = wait(self.running, _BETWEEN_S, FIRST_COMPLETED).done
-            # Of dask.distributed, whose client may have given up.
+            # The client of dask.distributed may have given up.
             client = getattr(self.executor, "_client", None)
             if getattr(client, "status", "") in ("closing", "closed"):
                 raise InputError(
@@ -435,7 +442,7 @@ class _Study:
         self.attempts[key] = self.attempts.get(key, 0) + 1
         try:
             self.running[self.executor.submit(perform, *words)] = key
-        except RuntimeError as error:  # of a pool that nobody can begin again
+        except RuntimeError as error:  # a pool that cannot be restarted
             why = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
                 f"the executor accepts no tasks ({why}): create a new one, and repeat the call"
@@ -444,7 +451,7 @@ class _Study:
     def _end(self, key: str, future: Future[Any]) -> None:
         try:
             outcome = future.result()
-        except InputError:  # Its file cannot be written, nor will those of the others be.
+        except InputError:  # Its file cannot be written, so other files will fail, too.
             raise
         except Exception as error:
             if isinstance(error, BrokenExecutor | CancelledError):
@@ -459,7 +466,7 @@ class _Study:
                 message = abridged(" ".join(f"{type(error).__name__}: {error}".split()))
             outcome = Outcome(key, "failed", message=message)
         else:
-            # Of a worker that does not see the folder, or sees it later.
+            # The worker may not access the folder, or its file may become visible later.
             folder = self.folder if outcome.status == "done" else None
             if folder is not None and read_outcome(folder, key) is None:
                 write_outcome(folder, outcome)
@@ -468,7 +475,7 @@ class _Study:
             self.progress(outcome, len(self.known), len(self.tasks))
 
     def stop(self) -> None:
-        """Begin nothing more, and keep what was done meanwhile."""
+        """Start no further tasks, and keep the outcomes of those that have ended."""
         for future in self.running:
             future.cancel()
         if isinstance(self.executor, Processes | Threads):

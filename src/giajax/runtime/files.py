@@ -1,4 +1,4 @@
-"""Files that people name: whether they can be used, their limits, reading and writing."""
+"""Files named by users: checks, limits, reading and writing."""
 
 import contextlib
 import json
@@ -16,7 +16,7 @@ from .text import InputError, shown
 
 try:
     import fcntl
-except ImportError:  # of Windows
+except ImportError:  # not available on Windows
     fcntl = None  # type: ignore[assignment]
 
 _DEVICES = {
@@ -28,11 +28,11 @@ _DEVICES = {
 
 
 def check_path(path: str | Path) -> None:
-    """Refuse a path that no file could have, here; whether there is a file does not matter.
+    """Reject a path that no file can have on this system; the file need not exist.
 
     Raises:
-        InputError: a NUL character, a name that is too long, a circle of links, or a folder that
-            may not be searched.
+        InputError: the path has a NUL character, a name that is too long or a circle of links, or a
+            folder in it may not be searched.
     """
     try:
         names = [os.fsencode(name) for name in Path(path).parts]
@@ -40,8 +40,8 @@ def check_path(path: str | Path) -> None:
         if any(len(name) > NAME_BYTES for name in names):
             longest = max(names, key=len).decode(errors="replace")
             raise InputError(
-                f"the path has the name {shown(longest)} of {max(map(len, names))} bytes, but a "
-                f"name must have at most {NAME_BYTES} bytes: shorten it"
+                f"the path contains the name {shown(longest)}, which has {max(map(len, names))} "
+                f"bytes, but a name must have at most {NAME_BYTES} bytes: shorten it"
             )
         os.lstat(path)
         os.stat(path)
@@ -62,16 +62,16 @@ def check_path(path: str | Path) -> None:
 
 
 def check_kind(path: Path, mode: int) -> None:
-    """Refuse, by its mode, what has a name and no content that ends: a pipe, a device."""
+    """Reject, by its mode, a pipe or a device, whose content may not end."""
     device = _DEVICES.get(stat.S_IFMT(mode))
     if device is not None:
         raise InputError(f"{path} is {device}, but must be a file: write the content to a file")
 
 
 def check_replaced(path: Path) -> None:
-    """Refuse a place where a device, a pipe or a socket is, also behind a link.
+    """Reject a path at which there is a device, a pipe or a socket, also behind a link.
 
-    Where root writes, a file that is moved there takes its place for every program.
+    If the user is root, a file moved there would replace it for all programs.
     """
     with contextlib.suppress(OSError):
         device = _DEVICES.get(stat.S_IFMT(path.stat().st_mode))
@@ -81,14 +81,14 @@ def check_replaced(path: Path) -> None:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[BinaryIO]:
-    """A file whose content is read and ends: no pipe, no device.
+    """Open a regular file for reading; pipes and devices are rejected.
 
     Raises:
-        InputError: a path that cannot be, or something other than a file.
-        OSError: there is no such file, or it cannot be read.
+        InputError: the path is invalid, or is not a file.
+        OSError: the file does not exist or cannot be read.
     """
     check_path(path)
-    # Without waiting for who writes into a pipe; on Windows there is none.
+    # Opening a pipe must not wait for its writer. The option does not exist on Windows.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with open(handle, "rb") as file:
         check_kind(path, os.fstat(handle).st_mode)
@@ -96,17 +96,17 @@ def opened(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """The content of a file of so many bytes at most, not of what never ends: a pipe, `/dev/zero`.
+    """Return the content of a file with at most `most` bytes; pipes and devices are rejected.
 
     Raises:
-        InputError: a path that cannot be, something other than a file, or a file that is too large.
-        OSError: there is no such file, or it cannot be read.
+        InputError: the path is invalid, is not a file, or the file is too large.
+        OSError: the file does not exist or cannot be read.
     """
     with opened(path) as file:
         size = os.fstat(file.fileno()).st_size
-        # A file of the system that has nothing to say yet gives no data, not even none.
+        # Reading a system file without data returns None instead of empty bytes.
         data = b"" if size > most else file.read(size + 1) or b""
-        if len(data) > size:  # a file that grows, or one of the system, which says no size
+        if len(data) > size:  # a growing file, or a system file without a size
             data += file.read(most + 1 - len(data)) or b""
     if (size := max(size, len(data))) > most:
         raise InputError(f"{path} has {size:,} bytes, but at most {most:,} are allowed: shorten it")
@@ -114,10 +114,10 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int, form: str, wanted: str) -> str:
-    """The text of a file in UTF-8, as `read_bytes`; what it is, and what to give, in errors.
+    """Return the text of a UTF-8 file, as `read_bytes`; `form` and `wanted` are used in errors.
 
     Raises:
-        InputError: there is no such file, or it cannot be read, or is not a text.
+        InputError: the file does not exist, cannot be read, or is not text.
     """
     try:
         return read_bytes(path, most).decode("utf-8-sig")
@@ -130,40 +130,42 @@ def read_text(path: Path, most: int, form: str, wanted: str) -> str:
 
 
 def keep(path: Path, data: bytes) -> None:
-    """Write a file of a study that goes on, durably, into a folder that is made if it is missing.
+    """Write a file of a study in progress durably; its folder is created if it is missing.
 
     Raises:
-        InputError: it cannot be written; what has been kept before is as it was.
+        InputError: the file cannot be written; earlier files are unchanged.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_durably(path, data)
     except OSError as error:
         raise InputError(
-            f"{path} cannot be written ({error.strerror}): free disk space or "
-            "change the permissions, and run the same command again"
+            f"{path} cannot be written ({error.strerror}): free disk space or change the "
+            "permissions, and run the same command again"
         ) from None
 
 
 def part_of(path: Path) -> Path:
-    """Where a file is written, beside its place, before it is moved there.
+    """Return the temporary path at which a file is written before it is moved to its place.
 
-    Not guessable, short where the name is long, and to be opened only if it is not there: no
-    other process can have put a link there.
+    The name is random and short, and the file must be opened exclusively, so that no other process
+    can have put a link there.
     """
     return path.with_name(f".{secrets.token_hex(16)}.part")
 
 
 _PART = re.compile(r"\.[0-9a-f]{32}\.part")
-_STALE_S = 60.0  # a writer that lives adds to its file sooner, or has moved it
+# An active writer extends or moves its file within this time.
+_STALE_S = 60.0
 
 
 @contextlib.contextmanager
 def written_to(folder: Path) -> Iterator[None]:
-    """Write to a folder, from which what killed writers left unfinished is removed before.
+    """Write to a folder, after removing the incomplete files of killed writers.
 
-    Several blocks may do so at once: what is there may be of another one then, as where the system
-    has no locks, and what is new stays. Empty folders that were made for it go again.
+    Several blocks may write at the same time, or the system may have no locks. Existing temporary
+    files may then belong to another block, so recent ones are kept. Empty folders that were created
+    for the block are removed again.
     """
     made: list[Path] = []
     alone, descriptor = False, None
@@ -181,7 +183,8 @@ def written_to(folder: Path) -> Iterator[None]:
                 if old and _PART.fullmatch(path.name):
                     path.unlink()
         if fcntl is not None and descriptor is not None:
-            # Of another block that looks just now; but a script may have the folder for long.
+            # Another block may hold the lock briefly for its check; a script may hold it for a long
+            # time.
             for _ in range(10):
                 try:
                     fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -201,9 +204,9 @@ def written_to(folder: Path) -> Iterator[None]:
 
 
 def write_durably(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all, and have it on the disk before this returns.
+    """Write a file atomically, and return when it is on the disk.
 
-    Several processes may write the same one: the last is there, whole. Its folder must be there.
+    Several processes may write the same file: the last complete one remains. The folder must exist.
     """
     part = part_of(path)
     try:
@@ -214,7 +217,7 @@ def write_durably(path: Path, data: bytes) -> None:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
-    # The name is on the disk when its folder is; not every system lets a folder be opened.
+    # The name is on the disk when its folder has been flushed. Not every system can open a folder.
     with contextlib.suppress(OSError):
         folder = os.open(path.parent, os.O_RDONLY)
         try:
@@ -223,12 +226,13 @@ def write_durably(path: Path, data: bytes) -> None:
             os.close(folder)
 
 
-# TOML and JSON text as plain data, where it is not deeper or larger than any file has to be.
+# Parsing of TOML and JSON text to plain data within limits of depth and size.
 #
-# Brackets are counted before the text is parsed: the parsers call themselves for each, and Python
-# ends at some depth that differs from version to version.
+# Brackets are counted before the text is parsed, because the parsers are recursive and Python's
+# recursion limit differs between versions.
 
-# Strings and comments, in which a bracket is a character; one without an end goes on to the end.
+# Strings and comments, in which brackets are ordinary characters. One without an end extends to the
+# end of the text.
 _TOML_WORDS = re.compile(
     r'"""(?:\\.|[^\\])*?(?:"""|\Z)'
     r"|'''.*?(?:'''|\Z)"
@@ -238,15 +242,16 @@ _TOML_WORDS = re.compile(
     re.DOTALL,
 )
 _JSON_WORDS = re.compile(r'"(?:\\.|[^"\\])*"', re.DOTALL)
-_HALF = re.compile(r"\\ud[89a-f]", re.IGNORECASE)  # of a character beyond 16 bits, by its number
+_HALF = re.compile(r"\\ud[89a-f]", re.IGNORECASE)  # one half of an escaped surrogate pair
 _BRACKETS = re.compile(r"[\[\]{}]")
 _BETWEEN_KEYS = re.compile(r"[\[\]{},=\n]")
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """The content of a TOML file (`InputError`: it is not TOML, or is beyond the limits)."""
+    """Return the content of a TOML file (`InputError`: it is invalid or beyond the limits)."""
     skeleton = _TOML_WORDS.sub("_", text)
-    # Not only deep: the parser looks at each part of a dotted key once for each part before it.
+    # Dotted keys are limited as well, because the time of the parser is quadratic in the number of
+    # parts.
     dotted = (part.count(".") for part in _BETWEEN_KEYS.split(skeleton))
     if _is_deep(skeleton) or any(dots >= DEPTH for dots in dotted):
         raise _too_deep(str(path))
@@ -257,18 +262,18 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path} is not valid TOML ({reason}): correct that line") from None
-    except ValueError:  # of more digits than Python converts
-        raise InputError(f"{path} has {_too_large()}") from None
+    except ValueError:  # an integer with more digits than Python converts
+        raise InputError(f"{path} contains {_too_large()}") from None
     check_size(data, str(path))
     return data
 
 
 def parse_json(text: str, path: Path | str) -> Any:
-    """The content of a JSON file, whose objects have each key once.
+    """Return the content of a JSON file, in which each key of an object must be unique.
 
     Raises:
-        InputError: it is beyond the limits.
-        ValueError: it is not JSON, which knows neither NaN nor infinity, or a text is not Unicode.
+        InputError: the content is beyond the limits.
+        ValueError: it is not JSON, which has neither NaN nor infinity, or a string is not Unicode.
     """
     if _is_deep(_JSON_WORDS.sub("_", text)):
         raise _too_deep(str(path))
@@ -279,19 +284,19 @@ def parse_json(text: str, path: Path | str) -> Any:
 
 
 def check_unicode(data: Any, text: str) -> None:
-    """Refuse (`ValueError`) data of a JSON text in which a string has half of a character.
+    """Reject (`ValueError`) data of a JSON text in which a string contains half a character.
 
-    JSON may have such, by their numbers; nothing that is written or shown may.
+    JSON permits unpaired surrogates as escapes, but they can be neither written nor displayed.
     """
     if _HALF.search(text):
         try:
             json.dumps(data, ensure_ascii=False).encode()
         except UnicodeEncodeError:
-            raise ValueError("a text has an incomplete character: correct it") from None
+            raise ValueError("a string contains an incomplete character: correct it") from None
 
 
 def check_size(data: Any, source: str) -> None:
-    """Refuse plain data that are nested too deeply, or hold a whole number beyond 64 bits."""
+    """Reject plain data that are nested too deeply, or contain an integer beyond 64 bits."""
     waiting: list[tuple[Any, int]] = [(data, 0)]
     while waiting:
         item, depth = waiting.pop()
@@ -301,7 +306,7 @@ def check_size(data: Any, source: str) -> None:
         elif isinstance(item, list | tuple):
             inner = item
         elif isinstance(item, int) and not -WHOLE <= item < WHOLE:
-            raise InputError(f"{source} has {_too_large()}")
+            raise InputError(f"{source} contains {_too_large()}")
         if depth > DEPTH:
             raise _too_deep(source)
         waiting += [(one, depth + 1) for one in inner]

@@ -1,15 +1,16 @@
-"""What functions and classes are called in the keys of tasks, wherever they lie. Imports nothing.
+"""Names of functions and classes in the keys of tasks, independent of their location.
 
-A key is kept in the name of a file and gives a task its random numbers, so that it must stay when
-code moves. The identities below are the names of version 0.1.0, and are never changed: "/" stands
-for "." so that replacing the name of a module does not change them. Each has beside it
-the module in which the code lies now, which is to be changed with the code, and ":Name" where it
-has another name now.
+This module imports nothing of giajax. A key is the name of a file and determines the random numbers
+of a task, so it must not change when code moves. The identities below are the names of version
+0.1.0 and must never be changed. They contain "/" instead of "." so that renaming a module by search
+and replace does not change them. Beside each identity is the module that now contains the code,
+which must be updated when the code moves, and ":Name" if the code has a new name.
 
-An argument or a field that was renamed is written "before=now"; now may be a property. One that is
-not listed was added later: it counts where it is not what it is by default (an argument: None).
+A renamed argument or field is written "before=now"; the new name may belong to a property. An
+argument or field that is not listed was added later. It enters the key only if it differs from its
+default (None for an argument).
 
-What else giajax has counts by its name alone, and code of others by its full name.
+Other code of giajax enters keys by its name only, and code of others by its full name.
 """
 
 import dataclasses
@@ -20,7 +21,7 @@ from typing import Any
 FORMAT = "0.1.0"
 """Part of every key: the version of giajax that defined these identities."""
 
-# Identity -> where it lies, and its arguments.
+# Identity -> module of the function, and its arguments.
 FUNCTIONS: dict[str, tuple[str, str]] = {
     "repetitions/_left_out:left_out": ("studies._influence", "fitted parts"),
     "repetitions/_replicates:replicates": (
@@ -33,7 +34,7 @@ FUNCTIONS: dict[str, tuple[str, str]] = {
     "sweeping/_fit:fitted": ("tasks._sweep", "definition inputs rename begin"),
 }
 
-# Identity -> where it lies, and its fields; None where a text of its own stands for them.
+# Identity -> module of the class, and its fields; None if the class defines its own text.
 CLASSES: dict[str, tuple[str, str | None]] = {
     "arm/_arm:Arm": (
         "mechanics.arm._arm",
@@ -184,7 +185,7 @@ CLASSES: dict[str, tuple[str, str | None]] = {
 
 
 def identity(place: str) -> str:
-    """What the code at a place, "module:qualified.name", is called in keys."""
+    """Return the identity in keys of the code at a place, "module:qualified.name"."""
     known = _identities().get(place)
     if known is not None:
         return f"giajax.{known.replace('/', '.')}"
@@ -193,7 +194,7 @@ def identity(place: str) -> str:
 
 
 def arguments_of(place: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """The arguments of the function at a place that count in a key, by their names there."""
+    """Return the arguments of the function at a place that enter a key, by their names there."""
     known = _identities().get(place)
     if known is None:
         return dict(arguments)
@@ -207,11 +208,11 @@ def arguments_of(place: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def fields_of(value: Any) -> Iterator[tuple[str, Any, Any]]:
-    """The fields of a dataclass that may count in a key.
+    """Yield the fields of a dataclass that may enter a key.
 
     Yields:
-        The name that the field has in keys, its value, and its value by default: `MISSING` of
-        `dataclasses` where the field always counts.
+        The name of the field in keys, its value, and its default: `dataclasses.MISSING` if the
+        field always enters the key.
     """
     kind = type(value)
     names: dict[str, str] = {}
@@ -235,18 +236,18 @@ def _default(field: "dataclasses.Field[Any]") -> Any:
 
 
 def _pairs(names: str) -> dict[str, str]:
-    """Names as they are in keys -> as they are now."""
+    """Return the current names by their names in keys."""
     pairs = (name.partition("=") for name in names.split())
     return {before: now or before for before, _, now in pairs}
 
 
 def place_of(identity: str) -> str:
-    """Where the code of an identity lies now."""
+    """Return the current place of the code with an identity."""
     where = (FUNCTIONS.get(identity) or CLASSES[identity])[0]
     return f"giajax.{where}" if ":" in where else f"giajax.{where}:{identity.partition(':')[2]}"
 
 
 @functools.cache
 def _identities() -> dict[str, str]:
-    """By where the code lies now."""
+    """Return the identities by the current place of their code."""
     return {place_of(identity): identity for identity in (*FUNCTIONS, *CLASSES)}

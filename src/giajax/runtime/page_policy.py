@@ -1,4 +1,4 @@
-"""What a page may do in a browser: run its own scripts, and load nothing from elsewhere."""
+"""Content security policy of pages: run their own scripts and load nothing from elsewhere."""
 
 import base64
 import hashlib
@@ -15,7 +15,7 @@ VISER = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
 
 
 def policy(scripts: str, connect: str = "data: blob:") -> str:
-    """What the header of a content security policy says, of sources of scripts and of data."""
+    """Return the header of a content security policy for given sources of scripts and of data."""
     return (
         f"default-src 'none'; script-src {scripts}; connect-src {connect}; "
         "style-src 'unsafe-inline'; img-src 'self' data: blob:; font-src data:; "
@@ -24,16 +24,16 @@ def policy(scripts: str, connect: str = "data: blob:") -> str:
 
 
 def own_scripts(page: bytes) -> str:
-    """The scripts that stand in a page, and no other, as sources of a policy."""
+    """Return policy sources that permit the inline scripts of a page and no others."""
     sums = (hashlib.sha256(found[1]).digest() for found in _SCRIPT.finditer(page))
     found = dict.fromkeys(f"'sha256-{base64.b64encode(each).decode()}'" for each in sums)
     return " ".join(found) or "'none'"
 
 
 def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: blob:") -> bytes:
-    """A page of HTML that says in its head what it may do: by default run the scripts in it."""
+    """Return an HTML page with a policy in its head; by default it may run its own scripts."""
     said = policy(own_scripts(page) if scripts is None else scripts, connect)
     meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
     found, count = _FIRST.subn(lambda first: meta + first[0], page, count=1)
-    assert count, "internal error: the page has no style or script to insert the policy before"
+    assert count, "internal error: the page has no style or script for the policy to precede"
     return found

@@ -1,4 +1,4 @@
-"""Many items by compiled programs on all cores of a machine, or on several devices."""
+"""Parallel computation by compiled programs on all cores of a machine, or on several devices."""
 
 import dataclasses
 import queue
@@ -21,22 +21,22 @@ Result = TypeVar("Result")
 
 
 class Tell(Protocol):
-    """What a job calls others with: callbacks that are not its own."""
+    """Function with which a job calls callbacks that are not its own."""
 
     def __call__(self, function: Callable[..., object], *args: Any) -> None:
-        """Have a function called (`KeyboardInterrupt`: the jobs are to stop)."""
+        """Request the call of a function (`KeyboardInterrupt`: the jobs must stop)."""
 
 
 def run_in_threads(
     jobs: Sequence[Callable[[Tell], Result]], most: int, *, until: Callable[[Result], bool]
 ) -> list[Result | None]:
-    """Results of jobs, of which some run at once.
+    """Run jobs in parallel and return their results.
 
-    What a job reports is called in the thread of the caller, and in the order of the jobs: of a
-    later one it waits until the earlier ones have ended. After Ctrl-C, or where what is told raises
-    `KeyboardInterrupt`, the jobs that run are stopped by the next thing that they tell, and the
-    others do not begin: their result is None. What a job returns when it is stopped is its result,
-    too. At most so many run at once, until a result stops the others.
+    At most `most` jobs run at once. The callbacks of a job are called in the calling thread and in
+    the order of the jobs: the callbacks of a later job wait until the earlier jobs have ended.
+    After Ctrl-C, or if a callback raises `KeyboardInterrupt`, running jobs stop at their next
+    callback, and jobs that have not started have the result None. The value that a stopped job
+    returns is its result. A result for which `until` is true also stops the other jobs.
     """
     if most == 1:
         results: list[Result | None] = [None] * len(jobs)
@@ -86,7 +86,7 @@ def run_in_threads(
         except BaseException:
             stop.set()
             raise
-    # What stopped the others comes before that they were stopped.
+    # The error that stopped the other jobs takes precedence.
     for future in futures:
         error = future.exception()
         if error is not None and not isinstance(error, KeyboardInterrupt):
@@ -95,16 +95,16 @@ def run_in_threads(
 
 
 def directly(function: Callable[..., object], *args: Any) -> None:
-    """`Tell` of a job that runs in the thread of the caller."""
+    """`Tell` for a job that runs in the calling thread."""
     function(*args)
 
 
 def _receive(
     news: "queue.SimpleQueue[Any]", told: Sequence[list[Callable[[], object]]], *, wait: bool
 ) -> None:
-    """Take what was told; where there is nothing, wait for something."""
+    """Receive the requested callbacks; if there are none, optionally wait for one."""
     try:
-        # Not for ever: what Ctrl-C has interrupted may have been the last.
+        # The wait is limited, because Ctrl-C may have interrupted the last callback.
         item = news.get(wait, timeout=1.0) if wait else news.get_nowait()
         while True:
             if item is not None:
@@ -115,9 +115,9 @@ def _receive(
         return
 
 
-# Many items by one compiled program on several devices: an equal share for each.
+# Many items, by one compiled program, on several devices with an equal share for each.
 #
-# Each device computes its share by itself: an item that takes more steps holds up none of the
+# Each device computes its share independently, so an item with more steps does not delay the
 # others.
 
 _AXIS = "item"
@@ -126,9 +126,9 @@ _AXIS = "item"
 def map_over_devices(
     function: Callable[..., Any], items: Any, shared: tuple[Any, ...], batch_size: int | None
 ) -> Any:
-    """As `giajax.map_on_cores`, in arrays that lie on all devices of this process.
+    """Compute `giajax.map_on_cores` with arrays that are distributed over all devices.
 
-    The last item is there as often as it takes to make all shares equally long.
+    The last item is repeated as often as necessary to make all shares equally long.
     """
     mesh = Mesh(np.asarray(jax.local_devices()), (_AXIS,))
     count = len(jax.tree.leaves(items)[0])
@@ -152,12 +152,11 @@ def _shared_out(items: Any, numbers: Any, rest: Any, batch_size: int | None, mes
     )(items, numbers)
 
 
-# Many items by compiled programs on all cores of a machine.
+# Many items, by compiled programs, on all cores of a machine.
 #
-# Each core takes one share of the items after the other, in a thread of its own: XLA lets go of
-# Python's lock while it computes. All shares of a batch are equally long, so that one program
-# does for them; what the last one lacks is filled up with an item that it has, and left out
-# again.
+# Each core computes one share of the items after the other, in a thread of its own, because XLA
+# releases Python's lock while it computes. All shares of a batch are equally long, so they use the
+# same program. The last share is filled with repeated items, whose results are removed again.
 
 # Keys of the shares whose programs are compiled.
 _compiled: set[Hashable] = set()
@@ -165,15 +164,15 @@ _compiled: set[Hashable] = set()
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """Items that share a program.
+    """Items that use the same program.
 
     Attributes:
-        call: a compiled program of some of the items and of `shared`; the leaves of its result have
-            a leading axis of these items.
-        items: a pytree of arrays with a leading axis of all of them.
+        call: compiled program of some of the items and of `shared`; the leaves of its result have a
+            leading axis with these items.
+        items: pytree of arrays with a leading axis of all items.
         shared: further arguments.
-        sizes: how much work each item is, in any unit, shape (item,).
-        length: items in a share.
+        sizes: relative amount of work for each item, shape (item,).
+        length: number of items in a share.
     """
 
     call: Callable[..., Any]
@@ -184,14 +183,14 @@ class Batch:
 
 
 def run_on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[Any]:
-    """Of each batch what `call` would return of all of its items, in NumPy's arrays.
+    """Return, for each batch, the result of `call` for all of its items, as NumPy arrays.
 
-    At most so many cores compute it: by default `cores()`.
+    At most `most` cores are used, by default `cores()`.
     """
     most = most or cores()
     shared_out = [_shares_of(batch) for batch in batches]
     tasks = [share for each in shared_out for share in each]
-    # Two threads that need the same program for the first time would both compile it.
+    # Two threads that need the same new program would both compile it.
     new = {share.key: share for share in tasks if share.key not in _compiled}
     at_hand = _run(list(new.values()), most, _Share.compiled_ahead)
     results = _run([share for share in new.values() if not at_hand[id(share)]], most)
@@ -203,22 +202,23 @@ def run_on_all_cores(batches: Sequence[Batch], most: int | None = None) -> list[
 def map_on_cores(
     function: Callable[..., Any], items: Any, *shared: Any, batch_size: int | None = None
 ) -> Any:
-    """`jax.lax.map` on all cores of the machine, or on all devices where JAX has several.
+    """Apply `jax.lax.map` on all cores of the machine, or on all devices if JAX has several.
 
-    Each core or device takes a share of the items, one after the other. It is for arms, commands
-    or states that differ in numbers only: there is one program for all of them. It is called with
-    numbers, and cannot be a part of what JAX traces or differentiates; the function may
-    differentiate.
+    Each core or device computes shares of the items, one after the other. The items, such as arms,
+    commands or states, may differ only in numbers, so one program is sufficient for all of them.
+    The function is called with concrete numbers and cannot be traced or differentiated by JAX. The
+    given function itself may differentiate.
 
     Arguments:
-        function: of one item and `shared`; at the top of a module, because a function that is made
-            again is compiled again.
-        items: a pytree of arrays with a leading axis of the items.
+        function: function of one item and `shared`, at the top level of a module, because a
+            function that is defined again is compiled again.
+        items: pytree of arrays with a leading axis of the items.
         shared: further arguments, the same for all items.
-        batch_size: so many items at once within a share, by `jax.vmap`.
+        batch_size: number of items that are vectorised within a share, by `jax.vmap`.
 
     Returns:
-        What the function returns, each leaf with a leading axis of the items, in NumPy's arrays.
+        The result of the function, in which each leaf is a NumPy array with a leading axis of the
+        items.
 
     Raises:
         InputError: there are no items, or the environment variable GIAJAX_CORES is not a number.
@@ -233,12 +233,13 @@ def map_on_cores(
     if len(counts) != 1 or not next(iter(counts), ()) or not (count := counts.pop()[0]):
         raise InputError(
             "the items have no common leading axis, or there are no items: give arrays whose "
-            "first axis counts the items"
+            "first axis has one entry for each item"
         )
     if len(jax.local_devices()) > 1:
         several = map_over_devices(function, items, shared, batch_size)
         return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], several)
-    # Some shares for each core: one that others keep busy takes fewer.
+    # Each core receives several shares, so a core that is also used by other processes computes
+    # fewer.
     least, together = -(-count // (4 * cores())), batch_size or 1
     length = max(1, -(-least // together) * together)
     batch = Batch(_mapped, items, (function, batch_size, shared), np.ones(count), length)
@@ -253,9 +254,9 @@ def _mapped(
 
 
 def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
-    """Positions of items in shares of equal length, those with the most work first.
+    """Return indices of items in shares of equal length, with the largest items first.
 
-    An item may stand more than once in the last one, to make it as long as the others.
+    An item may be repeated in the last share, to make it as long as the others.
     """
     order = np.argsort(-np.asarray(sizes), kind="stable")
     whole = np.append(order, np.repeat(order[-1:], -len(order) % length))
@@ -264,7 +265,7 @@ def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndar
 
 @dataclasses.dataclass(frozen=True)
 class _Share:
-    """Some items of a batch: which, themselves, how much work they are, and their program's key."""
+    """Some items of a batch: indices, data, amount of work, and the key of their program."""
 
     batch: Batch
     rows: np.ndarray
@@ -280,7 +281,7 @@ class _Share:
 
 
 def _shares_of(batch: Batch) -> list[_Share]:
-    # A view, where the device is the CPU: to take a share is then NumPy's work, not JAX's.
+    # On the CPU this is a view, so NumPy rather than JAX selects the items of a share.
     items = jax.tree.map(np.asarray, batch.items)
     shares = []
     for rows in split_evenly(batch.sizes, batch.length):
@@ -292,7 +293,7 @@ def _shares_of(batch: Batch) -> list[_Share]:
 
 
 def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
-    """Results of the items in their order, each once."""
+    """Return the results of all items in their order, without repetitions."""
     place = np.unique(np.concatenate([share.rows for share in shares]), return_index=True)[1]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[place], *parts)
 
@@ -300,11 +301,11 @@ def _whole(shares: Sequence[_Share], parts: Sequence[Any]) -> Any:
 def _run(
     shares: Sequence[_Share], most: int, of: Callable[[_Share], Any] = _Share.compute
 ) -> dict[int, Any]:
-    """Results by the identity of the share; the largest ones are begun first."""
+    """Return the results by the identity of the share; the largest shares start first."""
     ordered = sorted(shares, key=lambda share: -share.size)
     if most == 1 or len(ordered) < 2:
         return {id(share): of(share) for share in ordered}
-    # Beginning threads takes a tenth of a millisecond; none is left when nothing is to be done.
+    # Starting threads takes a tenth of a millisecond. No idle thread remains afterwards.
     with one_blas_thread(), ThreadPoolExecutor(min(most, len(ordered)), "giajax") as pool:
         results = list(pool.map(carried(of, most), ordered))
     return {id(share): result for share, result in zip(ordered, results, strict=True)}

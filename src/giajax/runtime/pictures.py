@@ -1,4 +1,4 @@
-"""Formats of the pictures that a command writes, chosen once and not by each that draws one."""
+"""Formats of the figures of a command, selected once for all of its figures."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,7 +9,7 @@ from pathlib import Path
 from .text import InputError, shown
 
 SIGNATURE = "giajax fit"
-"""In every picture and page of giajax, so that a person's own file of that name is left alone."""
+"""Mark in all giajax pictures and pages. A file of the same name without it is kept."""
 
 FORMATS = ("png", "svg", "pdf")
 """Picture formats. A PNG file is always written, because pages and records refer to it."""
@@ -17,7 +17,7 @@ FORMATS = ("png", "svg", "pdf")
 
 @dataclass(frozen=True)
 class PictureFormats:
-    """Formats beside PNG, and the resolution of what has pixels, dots per inch."""
+    """Formats in addition to PNG, and the resolution of raster images, dots per inch."""
 
     more: tuple[str, ...] = ()
     dpi: int = 130
@@ -28,13 +28,13 @@ _CHOSEN = ContextVar("picture formats", default=_USUAL)
 
 
 def picture_formats() -> PictureFormats:
-    """What was chosen by `pictures_as`."""
+    """Return the formats selected by `pictures_as`."""
     return _CHOSEN.get()
 
 
 @contextlib.contextmanager
 def pictures_as(formats: Sequence[str], dpi: int | None = None) -> Iterator[None]:
-    """Within this context, pictures are written in these formats, too, at this resolution.
+    """Select further formats and the resolution of all figures within this context.
 
     Raises:
         InputError: there is no such format.
@@ -52,23 +52,23 @@ def pictures_as(formats: Sequence[str], dpi: int | None = None) -> Iterator[None
 
 
 class Picture(bytes):
-    """A PNG file as bytes.
+    """PNG file as bytes, with its other formats.
 
     Attributes:
-        others: the same picture in other formats, by their endings.
+        others: contents of the other formats, by file extension.
     """
 
     others: Mapping[str, bytes]
 
     def __new__(cls, png: bytes, others: Mapping[str, bytes]) -> "Picture":
-        """Make a picture of the contents of its files."""
+        """Create a picture from the contents of its files."""
         made = super().__new__(cls, png)
         made.others = others
         return made
 
 
 def all_pictures(names: Iterable[str | Path]) -> list[str]:
-    """Names of files, and after each PNG file its names in the other formats that were chosen."""
+    """Return file names, with the other selected formats after each PNG file."""
     more = picture_formats().more
     found: dict[str, None] = {}
     for name in map(str, names):
@@ -79,7 +79,7 @@ def all_pictures(names: Iterable[str | Path]) -> list[str]:
 
 
 def all_files(contents: Mapping[Path, bytes]) -> dict[Path, bytes]:
-    """Contents by path, and after each picture its other formats."""
+    """Return contents by path, with the other formats after each picture."""
     files: dict[Path, bytes] = {}
     for path, data in contents.items():
         files[path] = data
@@ -89,7 +89,7 @@ def all_files(contents: Mapping[Path, bytes]) -> dict[Path, bytes]:
 
 
 def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
-    """Of pictures that were written over, remove the other formats that show what was before."""
+    """Remove outdated files in other formats of pictures that have been overwritten."""
     for path, data in contents.items():
         if isinstance(data, Picture):
             for each in set(FORMATS[1:]) - set(data.others):
@@ -97,7 +97,7 @@ def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
 
 
 def remove_own(path: Path, first: int | None = None) -> None:
-    """Remove a file, if it carries the signature, which may have to be in its first bytes."""
+    """Remove a file if it contains the signature, optionally within its first bytes only."""
     with contextlib.suppress(OSError):
         if SIGNATURE.encode() in path.read_bytes()[:first]:
             path.unlink()

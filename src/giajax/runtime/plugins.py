@@ -1,8 +1,8 @@
-"""What is added from outside: registered classes, and plug-ins, the files that register them.
+"""Extensions: registered classes, and plug-ins, which are files that register classes.
 
-A class is registered by its role, that of the abstract class which it is of: a law of drag, a
-model. Files call it by its name. What is registered is what runs: no file that is only read brings
-code with it, and a result says which code it was made with.
+A class is registered under the role of its abstract base class, such as a drag law or a model.
+Files refer to it by its name. Only registered classes are executed: reading a file never imports
+code, and a result records the code with which it was made.
 """
 
 import dataclasses
@@ -26,33 +26,34 @@ F = TypeVar("F")
 Made = TypeVar("Made")
 
 _CLASSES: dict[str, dict[str, Any]] = {}
-_PLUGINS: dict[Path, str] = {}  # with the SHA-256 of what was run
+_PLUGINS: dict[Path, str] = {}  # with the SHA-256 of the executed code
 
 SUM = "sha256 "
 """Prefix that distinguishes the checksum of a file from a version."""
 
 
 def register(cls: Registered) -> Registered:
-    """Make a class of yours known by its name, to files and to the command line.
+    """Register a class of your own, so that files and the command line can use it by name.
 
-    A model is called as its `kind`, everything else as its class. A package may have an entry point
-    of that name instead, of the group `giajax.models`, `giajax.drags`, `giajax.joints`,
-    `giajax.losses`, `giajax.sensors` or `giajax.winds`.
+    The name of a model is its `kind`. The name of any other class is the name of the class.
+    Instead, a package may have an entry point of that name in the group `giajax.models`,
+    `giajax.drags`, `giajax.joints`, `giajax.losses`, `giajax.sensors` or `giajax.winds`.
 
     Raises:
-        InputError: it is of no class that giajax knows, lacks a method, or has the name of another.
+        InputError: the class is not derived from a giajax class, lacks a method, or has the name of
+            another class.
     """
     role, name = getattr(cls, "registered_as", None), name_of(cls)
     if role is None:
         raise InputError(
-            f"{cls.__name__} is not derived from a class of giajax: derive it from one, such as "
+            f"{cls.__name__} is not derived from a giajax class: derive it from one, such as "
             "giajax.AbstractModel or giajax.mechanics.arm.AbstractDragLaw"
         )
     if absent := getattr(cls, "__abstractmethods__", ()):
         raise InputError(f"{cls.__name__} lacks {one_of(sorted(absent))}: implement it")
     classes = _CLASSES.setdefault(role, {})
     known = classes.get(name, cls)
-    # A notebook runs a cell again, which makes the class anew.
+    # Running a cell of a notebook again creates the class again.
     again = (known.__module__, known.__qualname__) == (cls.__module__, cls.__qualname__)
     if not again or "+" in name or name in getattr(cls, "names_of_giajax", ()):
         raise InputError(f"a {role} named '{name}' already exists: choose another name")
@@ -62,15 +63,15 @@ def register(cls: Registered) -> Registered:
 
 
 def name_of(cls: type) -> str:
-    """What files call a class."""
+    """Return the name of a class in files."""
     kind = getattr(cls, "kind", None)
     return kind if isinstance(kind, str) else cls.__name__
 
 
 def registered(role: str, name: str) -> Any | None:
-    """The class of a role and a name; None where there is none."""
+    """Return the class with a role and a name; None if there is none."""
     if (found := _CLASSES.get(role, {}).get(name)) is None:
-        from importlib import metadata  # slow to import, and seldom asked
+        from importlib import metadata  # slow to import, and rarely needed
 
         for entry in metadata.entry_points(
             group=f"giajax.{role}{'e' * role.endswith('s')}s", name=name
@@ -83,33 +84,33 @@ def registered(role: str, name: str) -> Any | None:
 
 
 def classes_of_others(role: str) -> dict[str, Any]:
-    """The registered classes of a role that are not giajax's, by name."""
+    """Return the registered classes of a role that are not part of giajax, by name."""
     known = _CLASSES.get(role, {}).items()
     return {name: cls for name, cls in known if not cls.__module__.startswith("giajax.")}
 
 
 def law_named(role: str, name: str) -> Any | None:
-    """What the registered class of a role and a name is by default; None where there is none."""
+    """Return the default object of the registered class with a role and a name, or None."""
     found = registered(role, name)
     return None if found is None else made_by_default(found, f"the {role} law {name}")
 
 
 def made_by_default(cls: Callable[[], Made], what: str) -> Made:
-    """What a class makes from its defaults; `InputError` where it makes nothing from them."""
+    """Return an object of a class with default fields; `InputError` if this is impossible."""
     try:
         return cls()
     except Exception as error:
         raise InputError(
-            f"{what} cannot be made from defaults ({error}): give each field a default"
+            f"{what} cannot be created from defaults ({error}): give each field a default"
         ) from None
 
 
 def load_plugin(path: Path, digest: str = "") -> None:
-    """Run a file that registers something; what it needs must be installed, or in it.
+    """Execute a file that registers classes. The modules that it imports must be installed.
 
     Raises:
-        InputError: there is no such file, a module has its name, it raises an error, or it is not
-            the one of this SHA-256, which another process has run.
+        InputError: the file does not exist, has the name of a module, raises an error, or does not
+            have the given SHA-256, which another process computed from the file that it executed.
     """
     check_path(path)
     path, name = path.resolve(), path.stem
@@ -130,9 +131,9 @@ def load_plugin(path: Path, digest: str = "") -> None:
     module = sys.modules[name] = ModuleType(name)
     module.__file__ = str(path)
     try:
-        # What was read is run, and no older bytecode of it.
+        # The text that was read is executed, rather than older bytecode.
         exec(compile(data, str(path), "exec"), vars(module))
-    except (Exception, SystemExit) as error:  # a file that ends the program ends no command
+    except (Exception, SystemExit) as error:  # a file must not end the command
         del sys.modules[name]
         if isinstance(error, InputError):
             raise
@@ -143,15 +144,15 @@ def load_plugin(path: Path, digest: str = "") -> None:
 
 
 def plugins() -> Mapping[Path, str]:
-    """The plug-ins of this process, which its workers need, too, with their SHA-256."""
+    """Return the plug-ins of this process, which its workers also need, with their SHA-256."""
     return dict(_PLUGINS)
 
 
 @functools.cache
 def source(module: str) -> tuple[str, str] | None:
-    """Where a module is from that is neither giajax nor what it needs: a file or a package.
+    """Return the origin of a module that belongs neither to giajax nor to its dependencies.
 
-    With the sum of the file, or the version of the package.
+    It is the name of a file with its checksum, or the name of a package with its version.
     """
     package = module.partition(".")[0]
     path = getattr(sys.modules.get(module), "__file__", None)
@@ -167,19 +168,19 @@ def source(module: str) -> tuple[str, str] | None:
     return path.name, SUM + digest
 
 
-# Their versions are in every key, and in every result.
+# The versions of these packages are included in each key and in each result.
 OURS = {"giajax", "jax", "jaxlib", "jaxtyping", "equinox", "diffrax", "optimistix", "lineax"}
 OURS |= {"numpy", "scipy", "pydantic", "polars"} | sys.stdlib_module_names
 
 
 def optional(method: F) -> F:
-    """Mark what a class that others derive from does by default, and theirs may do otherwise."""
+    """Mark a method with a default implementation that derived classes may override."""
     method.__isoptional__ = True  # type: ignore[attr-defined]
     return method
 
 
 def mark(value: Any) -> str:
-    """Text that differs where the source of a class and its bases, or a function, does."""
+    """Return a text that depends on the source of a class and its bases, or of a function."""
     classes = value.__mro__ if isinstance(value, type) else (value,)
     modules = dict.fromkeys(each.__module__ for each in classes)
     return "".join(map(str, filter(None, map(source, modules))))
@@ -191,7 +192,7 @@ def _sources(classes: Iterable[type]) -> dict[str, str]:
 
 
 def sources_named(text: str) -> dict[str, str]:
-    """As `sources_of`, of the registered classes whose names are words of a text."""
+    """Return the `sources_of` the registered classes whose names are words of a text."""
     words = set(re.findall(r"[\w-]+", text))
     return _sources(
         cls for known in _CLASSES.values() for name, cls in known.items() if name in words
@@ -199,7 +200,7 @@ def sources_named(text: str) -> dict[str, str]:
 
 
 def sources_of(tree: Any) -> dict[str, str]:
-    """Files and packages of the classes in a tree that are not giajax's, as of `source`."""
+    """Return the origins, as from `source`, of the classes in a tree that are not in giajax."""
     parts: list[Any] = [tree]
     classes: list[type] = []
     for part in parts:
@@ -214,12 +215,13 @@ def sources_of(tree: Any) -> dict[str, str]:
 
 
 def check_sources(versions: Mapping[str, str], said: str = "") -> None:
-    """Refuse to continue from what was made with other files than those of the registered classes.
+    """Reject results that were made with files other than the current ones.
 
-    They are others of the same name, or others of the classes that `said` names.
+    Such a file has the same name as a registered one but other contents, or other files define the
+    classes that `said` names.
 
     Raises:
-        InputError: naming the file.
+        InputError: the message names the file.
     """
     now = _sources(cls for known in _CLASSES.values() for cls in known.values())
     for name, text in versions.items():
@@ -238,7 +240,7 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
 
 
 def hint(versions: Mapping[str, str]) -> str:
-    """What to give or install where these are of a result that cannot be loaded; may be empty."""
+    """Suggest what to give or install if a result with these versions cannot be loaded, or ""."""
     from importlib import metadata
 
     loaded = {Path(str(getattr(each, "__file__", ""))).name for each in sys.modules.values()}

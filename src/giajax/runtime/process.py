@@ -1,4 +1,4 @@
-"""A process: its signals, and how it uses JAX and the machine (64 bit, caches, cores, BLAS)."""
+"""Settings of a process: signals, and its use of JAX and the machine (64 bit, caches, cores)."""
 
 import contextlib
 import contextvars
@@ -19,28 +19,31 @@ from typing import Any, ParamSpec, TypeVar
 
 from .text import InputError
 
-# What Ctrl-C, SIGTERM and SIGHUP do to a command: the first one stops it, a second one ends it.
+# Effect of Ctrl-C, SIGTERM and SIGHUP on a command: the first signal stops it, a second one ends
+# it.
 #
-# A signal that stops raises `KeyboardInterrupt`, after which a fit keeps the best so far. Python
-# raises it only between two steps of its own, and compiling is one step: a thread waits for the
-# second signal, which no step can hold up.
+# The first signal raises `KeyboardInterrupt`, after which a fit keeps its best result so far.
+# Python raises it only between two of its own instructions, and a compilation is a single
+# instruction. Therefore a separate thread waits for the second signal, which no instruction can
+# delay.
 
-# A terminal that is closed hangs up; Windows has no such signal.
+# Signal of a closed terminal, which Windows does not have.
 HANGUP = getattr(signal, "SIGHUP", signal.SIGTERM)
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, HANGUP)
 
-_ONE_STROKE_S = 0.3  # some programs pass on to a child a signal that its terminal sends to both
+# Some programs forward to a child a signal that the terminal sends to both.
+_ONE_STROKE_S = 0.3
 
 _first: int | None = None
-_came = -math.inf  # the last one, s
+_came = -math.inf  # time of the last signal, s
 
 
 def listen() -> None:
-    """Begin to take signals; to be called once, by the process that is a command."""
+    """Install the signal handlers; called once, by the process of a command."""
     taken = []
     for number in _SIGNALS:
-        # What nohup or a shell has told the process to ignore stays ignored.
+        # Signals that nohup or a shell has set to be ignored remain ignored.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
             taken.append(number)
@@ -52,35 +55,35 @@ def listen() -> None:
     threading.Thread(target=_end_at_the_second, args=(reader,), daemon=True).start()
 
 
-# Of a thread whose caller can be stopped while it computes.
+# Event that stops a thread while it computes for a caller.
 stop_of_thread: contextvars.ContextVar[threading.Event | None] = contextvars.ContextVar(
     "stop_of_thread", default=None
 )
 
 
 def is_stopped() -> bool:
-    """Whether a signal has come, or the caller of this thread was stopped.
+    """Return whether a signal was received, or the caller of this thread was stopped.
 
-    What the signal raised may have been lost in a foreign library.
+    The exception of a signal may have been lost in a foreign library.
     """
     stop = stop_of_thread.get()
     return _first is not None or (stop is not None and stop.is_set())
 
 
 def go_on() -> None:
-    """Say that what was signalled has stopped, and something else follows; a second one ends it."""
+    """Reset the stop, because another computation follows. A second signal ends the process."""
     global _first
     _first = None
 
 
 def stop_if_asked(_: Any = None) -> None:
-    """Stop what was signalled, where the exception was lost, as in a callback of a library."""
+    """Raise `KeyboardInterrupt` again if it was lost, for example in a callback of a library."""
     if is_stopped():
         raise KeyboardInterrupt
 
 
 def stopped_status() -> int:
-    """Exit status of a command that was stopped: 130 by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP."""
+    """Return the exit status of a stopped command: 130 by Ctrl-C, 143 by SIGTERM, 129 by SIGHUP."""
     return 128 + (signal.SIGINT if _first is None else _first)
 
 
@@ -108,36 +111,36 @@ def _end_at_the_second(reader: int) -> None:
 _MIN_COMPILE_SECONDS = 0.0
 
 PROGRAMS = "programs"
-"""Folder of the stored traced programs, within the folder of the compilation cache."""
+"""Subfolder of the compilation cache for traced programs."""
 
 _own_process = False
 
 
 def own_process() -> None:
-    """Say that this process is the command line's own, and nothing in it changes giajax."""
+    """Declare that this process belongs to the command line and does not modify giajax."""
     global _own_process
     _own_process = True
 
 
 def is_own_process() -> bool:
-    """Whether `own_process` was said."""
+    """Return whether `own_process` was called."""
     return _own_process
 
 
 def configure() -> None:
-    """Switch on 64-bit numbers, the persistent compilation cache, and programs that are kept.
+    """Enable 64-bit numbers, the persistent compilation cache, and the storage of programs.
 
-    To be called before anything is computed. A library must not set either; a process that
-    belongs to the command line, or works for another one, may. The cache is what
-    `JAX_COMPILATION_CACHE_DIR` says, else `giajax` in the user's cache directory, where that can be
-    written.
+    This must be called before any computation. A library must not change these settings, but a
+    process that belongs to the command line, or works for another process, may. The cache is at
+    `JAX_COMPILATION_CACHE_DIR`, otherwise at `giajax` in the user's cache directory if that is
+    writable.
     """
-    # Equinox reads this when it is imported. Its checks call back into Python, and JAX keeps no
-    # program that does: the fit would be compiled anew in every process. A failed check becomes
-    # a NaN instead, which every caller here looks for.
+    # Equinox reads this variable when it is imported. Its checks call back into Python, and JAX
+    # does not cache programs with such calls, so each process would compile a fit again. With this
+    # setting a failed check returns NaN, which all callers here test for.
     os.environ.setdefault("EQX_ON_ERROR", "nan")
-    # The matrices of an arm are too small for OpenBLAS to share out: its threads cost half of the
-    # speed of one with 160 links. Where several cores compute, `_blas` sees to it.
+    # The matrices of an arm are too small for parallel BLAS, whose threads halve the speed for an
+    # arm with 160 links. `one_blas_thread` is used if several cores compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import jax
 
@@ -147,7 +150,7 @@ def configure() -> None:
         warnings.showwarning = _say_of_cache(warnings.showwarning)
     if directory is None:
         return
-    # JAX itself may keep what it compiles at an address of a network.
+    # JAX itself may keep compiled programs at a network address.
     if "://" not in os.environ.get("JAX_COMPILATION_CACHE_DIR", ""):
         with contextlib.suppress(OSError):
             directory.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -167,35 +170,35 @@ def configure() -> None:
     if stated:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
-    # JAX leaves out what compiles within a second: of a short command all of it, which is hundreds
-    # of programs of an operation each.
+    # By default JAX does not cache programs that compile within a second. A short command has only
+    # such programs, hundreds of them with a single operation.
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", _MIN_COMPILE_SECONDS)
 
 
 def is_private(folder: Path) -> bool:
-    """Whether no other account can write into a folder, or it is not there."""
+    """Return whether no other account can write to a folder, or the folder does not exist."""
     if not hasattr(os, "geteuid"):
         return True
     try:
         state = folder.stat()
     except FileNotFoundError:
         return True
-    except OSError:  # of a parent that may not be entered
+    except OSError:  # a parent folder cannot be entered
         return False
     return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _note(sentence: str) -> None:
-    """Say something on standard error, where this process is the command line's own."""
-    import multiprocessing  # slow to import, and most processes have nothing to say
+    """Print a sentence on standard error if this process belongs to the command line."""
+    import multiprocessing  # slow to import, and most processes have no message
 
     if _own_process and multiprocessing.parent_process() is None:
         print(f"giajax: {sentence}", file=sys.stderr)
 
 
 def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
-    """What shows warnings, but those of JAX about its cache: a sentence in place of all of them."""
+    """Return a function that shows warnings, with one sentence for all JAX cache warnings."""
     said = False
 
     def shown(message: Warning | str, *how: Any, **named: Any) -> None:
@@ -214,7 +217,7 @@ def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
 
 
 def compilation_cache() -> tuple[Path | None, bool]:
-    """Where compiled programs are kept, if anywhere, and whether the user's environment says so."""
+    """Return the folder of compiled programs, if any, and whether the environment specifies it."""
     stated = os.environ.get("JAX_COMPILATION_CACHE_DIR")
     if stated is None:
         return cache_directory(), False
@@ -222,10 +225,10 @@ def compilation_cache() -> tuple[Path | None, bool]:
 
 
 def cache_directory() -> Path | None:
-    """The user's cache directory of giajax, made where it is missing; None where it cannot be."""
+    """Return the user's cache directory of giajax, created if missing; None if impossible."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        # A relative XDG_CACHE_HOME is to be ignored, by the XDG specification.
+        # The XDG specification requires that a relative XDG_CACHE_HOME is ignored.
         parent = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
         directory = parent / "giajax"
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -234,9 +237,10 @@ def cache_directory() -> Path | None:
     return directory if os.access(directory, os.W_OK | os.X_OK) else None
 
 
-# How many cores a process computes on, and what its threads have to know.
+# Number of cores that a process uses, and the settings of its threads.
 #
-# Without JAX until it is asked: the command line has the variable's name in its help.
+# JAX is imported only when necessary, because the help of the command line contains the name of the
+# variable.
 
 Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
@@ -244,12 +248,12 @@ Result = TypeVar("Result")
 CORES_VARIABLE = "GIAJAX_CORES"
 """Environment variable for the maximum number of cores."""
 
-# Of a thread that computes beside others: its part of the cores.
+# Number of cores for a thread that computes in parallel with others.
 _part: contextvars.ContextVar[int | None] = contextvars.ContextVar("giajax_cores", default=None)
 
 
 def cores() -> int:
-    """On how many cores to compute: those that this process may use, or as many as so told.
+    """Return the number of cores to use: those available to this process, or as specified.
 
     Raises:
         InputError: the environment variable is not a positive number.
@@ -262,7 +266,7 @@ def cores() -> int:
         return part
     told = os.environ.get(CORES_VARIABLE)
     if not told:
-        # Not every system lets a process ask.
+        # Not every system provides this function.
         allowed = getattr(os, "sched_getaffinity", None)
         there = len(allowed(0)) if allowed else os.cpu_count() or 1
         return min(there, cgroup_quota() or there)
@@ -273,10 +277,10 @@ def cores() -> int:
 
 @functools.cache
 def cgroup_quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
-    """Cores whose time a container may use (cgroups, version 2 or 1); None where that is no less.
+    """Return the number of cores that a container may use (cgroups 2 or 1); None without a limit.
 
-    A container sees all cores of its machine, and is stopped for the rest of each period when its
-    time is used up: more threads than that make a step slower.
+    A container sees all cores of its machine, but is suspended for the rest of each period when its
+    time is used up. More threads than this number make a step slower.
     """
     try:
         try:
@@ -286,14 +290,15 @@ def cgroup_quota(root: Path = Path("/sys/fs/cgroup")) -> int | None:
                 (root / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
             )
         return max(1, math.ceil(int(quota) / int(period))) if int(quota) > 0 else None
-    except (OSError, ValueError):  # No container, or "max"
+    except (OSError, ValueError):  # no container, or "max"
         return None
 
 
 def carried(function: Callable[Parameters, Result], among: int) -> Callable[Parameters, Result]:
-    """A function for so many other threads, which computes with as many bits as the present one.
+    """Prepare a function for a given number of threads, with the precision of the current thread.
 
-    What else a `with` of JAX sets (looking for NaN, say) counts in the caller's thread alone.
+    Other settings of a JAX `with` statement (such as the detection of NaN) apply only to the
+    calling thread.
     """
     import jax
 
@@ -309,17 +314,17 @@ def carried(function: Callable[Parameters, Result], among: int) -> Callable[Para
 
 
 def enable_x64(wide: bool) -> Any:
-    """JAX's context of 64-bit numbers, in the present thread; it was in another place once."""
+    """Return JAX's context of 64-bit numbers in this thread; older versions had it elsewhere."""
     import jax
 
     home: Any = jax if hasattr(jax, "enable_x64") else importlib.import_module("jax.experimental")
     return home.enable_x64(wide)
 
 
-# One thread for each call of BLAS and LAPACK while threads of giajax's own have the cores.
+# One thread for each call of BLAS and LAPACK while threads of giajax use the cores.
 #
-# The matrices of an arm are too small to be shared out. Where two threads try, OpenBLAS lets them
-# wait for each other: an evaluation of 160 links then takes a hundred times as long.
+# The matrices of an arm are too small for parallel computation. If two threads attempt it, OpenBLAS
+# makes them wait for each other, and an evaluation of 160 links takes a hundred times as long.
 
 _lock = threading.Lock()
 _users = 0
@@ -328,7 +333,7 @@ _limit: Any = None
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """BLAS computes in the thread that calls it, until the last of those who request it is done."""
+    """Make BLAS compute in the calling thread, until the last of such contexts ends."""
     global _users, _limit
     with _lock:
         if not _users:
@@ -345,8 +350,8 @@ def one_blas_thread() -> Iterator[None]:
 
 @functools.cache
 def _libraries() -> Any:
-    """The libraries that are loaded, found once."""
-    # JAX calls the LAPACK of SciPy, and loads it only with the first program that does.
+    """Return the loaded libraries, which are searched once."""
+    # JAX calls the LAPACK of SciPy, and loads it only with the first program that needs it.
     import scipy.linalg  # noqa: F401
     from threadpoolctl import ThreadpoolController
 

@@ -1,4 +1,4 @@
-"""Compiled programs: the options of XLA, and the cache of traced programs between processes."""
+"""Compiled programs: XLA options, and a cache of traced programs between processes."""
 
 import abc
 import contextlib
@@ -36,13 +36,13 @@ _PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
 
 class NoStructureError(Exception):
-    """Something that no text describes in every process alike, such as a closure."""
+    """An object, such as a closure, has no description that is the same in every process."""
 
 
 def structure(tree: Any) -> str:
-    """Describe what of a tree decides how it is traced.
+    """Describe the parts of a tree that determine how it is traced.
 
-    Of each array that is its shape and type, of everything else the value.
+    For an array these are its shape and type, for any other object its value.
 
     Raises:
         NoStructureError: a part of it cannot be described.
@@ -51,11 +51,11 @@ def structure(tree: Any) -> str:
 
 
 def content(tree: Any) -> str:
-    """Describe a tree, or whatever else can be copied, with the numbers of its arrays (by SHA-256).
+    """Describe a tree, or any object that can be copied, including its numbers (by SHA-256).
 
-    The text is the same in every process and every version: classes and functions of giajax count
-    by their identities, wherever they lie, and a field that was added to one of its classes only
-    where it is not what it is by default.
+    The text is the same in every process and every version. Classes and functions of giajax are
+    represented by their identities, independent of their location. A field that was added to a
+    giajax class is included only if it differs from its default.
 
     Raises:
         NoStructureError: a part of it cannot be described.
@@ -64,7 +64,7 @@ def content(tree: Any) -> str:
 
 
 class _Description:
-    """The text of a tree in pieces."""
+    """Text of a tree, in pieces."""
 
     kept: ClassVar[bool]
     """Whether the text includes the values of all arrays, as for stored content."""
@@ -108,24 +108,24 @@ class _Description:
 
     @abc.abstractmethod
     def fields(self, value: Any, *, whole: bool) -> Iterator[str]:
-        """Of a dataclass."""
+        """Yield the text of the fields of a dataclass."""
 
     @abc.abstractmethod
     def name(self, value: Any) -> str:
-        """Of a class or a function."""
+        """Return the text of a class or a function."""
 
     @abc.abstractmethod
     def other(self, value: Any) -> Iterator[str]:
-        """Of anything else."""
+        """Yield the text of any other object."""
 
 
 def _is_ours(value: Any) -> bool:
-    """Whether a class or a function, and so what it is made from, is of no plug-in."""
+    """Return whether a class or a function, and thus its source, does not belong to a plug-in."""
     return value.__module__.partition(".")[0] in OURS
 
 
 class _Traced(_Description):
-    """Of what decides how a tree is traced: numbers only of what is a part of the program."""
+    """Description for tracing: only numbers that are part of the program are included."""
 
     kept = False
 
@@ -139,7 +139,7 @@ class _Traced(_Description):
     def name(self, value: Any) -> str:
         text = f"{value.__module__}.{_qualified(value)}"
         if isinstance(value, FunctionType) and not _is_found(value):
-            raise NoStructureError(f"{text} is another function")
+            raise NoStructureError(f"{text} refers to a different function")
         return text if _is_ours(value) else text + mark(value)
 
     def other(self, value: Any) -> Iterator[str]:
@@ -147,7 +147,7 @@ class _Traced(_Description):
 
 
 class _Kept(_Description):
-    """Of what is kept: with all numbers, and by names that stay."""
+    """Description for storage: all numbers are included, and names are permanent."""
 
     kept = True
 
@@ -159,7 +159,8 @@ class _Kept(_Description):
 
     def name(self, value: Any) -> str:
         text = identity(f"{value.__module__}:{_qualified(value)}").replace(":", ".")
-        # Of a plug-in what it is, too; of what Python itself imported the name, as ever.
+        # The source of a plug-in is included. For modules imported by Python itself, the name is
+        # sufficient, as in earlier versions.
         if _is_ours(value) or value.__module__ not in {path.stem for path in plugins()}:
             return text
         return text + mark(value)
@@ -169,7 +170,7 @@ class _Kept(_Description):
             yield f"path {str(value)!r}"
             return
         name = self.name(type(value))
-        # Of a model of pydantic what was said, in any order; the rest is by default.
+        # For a pydantic model, the fields that were set, in any order; the others have defaults.
         if isinstance(said := getattr(value, "model_fields_set", None), set):
             pairs = [(field, getattr(value, field)) for field in sorted(said)]
             yield from self.members(name, pairs, whole=True)
@@ -183,13 +184,13 @@ class _Kept(_Description):
             yield f"{name} {getattr(value, '__module__', None)}.{parts}"
             return
         made, arguments, *rest = parts
-        # Members come as iterators.
+        # Members are returned as iterators.
         plain = [list(each) if isinstance(each, Iterator) else each for each in rest]
         yield from self.members(name, [made, arguments, *plain], whole=True)
 
 
 def _is_found(function: FunctionType) -> bool:
-    """Whether its module has it under its name; a transformed one has the name of the original."""
+    """Return whether a module has a function under its name; wrappers share the original's name."""
     found: Any = sys.modules.get(function.__module__)
     for name in function.__qualname__.split("."):
         found = getattr(found, name, None)
@@ -204,17 +205,17 @@ def _qualified(value: Any) -> str:
 
 
 SUFFIX = ".stablehlo"
-"""Of the files' names."""
+"""Suffix of the file names."""
 
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optimistix", "lineax", "numpy")
 
 
 def sources() -> str:
-    """What tracing depends on beside the arguments: the source of this package, and versions."""
+    """Return a digest of what tracing depends on besides the arguments: sources and versions."""
     digest = hashlib.sha256(sys.version.encode())
     for name in _LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
-    # Of the whole package, wherever in it this module lies.
+    # The whole package is included, independent of the location of this module.
     root = Path(str(files(__name__.partition(".")[0])))
     for path in sorted(root.rglob("*.py")):
         digest.update(f"{path.relative_to(root)}\0".encode())
@@ -224,26 +225,26 @@ def sources() -> str:
 
 @functools.cache
 def origin() -> str:
-    """`sources`, as they were when the process began to keep programs."""
+    """`sources` at the time when the process began to store programs."""
     return sources()
 
 
 def read(path: Path) -> bytes:
-    """A module as it was written.
+    """Return a stored module.
 
     Raises:
-        OSError: there is no such file, or it cannot be read.
-        ValueError: it is cut off, or was changed.
+        OSError: the file does not exist or cannot be read.
+        ValueError: the file is incomplete or was changed.
     """
     content = path.read_bytes()
     digest, module = content[:32], content[32:]
     if hashlib.sha256(module).digest() != digest:
-        raise ValueError(f"{path} is not as it was written")
+        raise ValueError(f"{path} has changed since it was written")
     return module
 
 
 def write(path: Path, module: bytes) -> None:
-    """Write a file whole, or not at all; another process may write the same one."""
+    """Write a file atomically; another process may write the same file."""
     temporary = None
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -256,19 +257,19 @@ def write(path: Path, module: bytes) -> None:
             temporary.unlink(missing_ok=True)
 
 
-# Programs kept between processes as they were traced: a later process does not trace them again.
+# Traced programs are stored between processes, so a later process does not trace them again.
 #
-# Tracing a fit takes longer than to compile small programs or to run it. What is kept is
-# StableHLO, JAX's own exchange format, and no executable: JAX's persistent compilation cache has
-# that.
+# Tracing a fit takes longer than compiling small programs or running it. Programs are stored as
+# StableHLO, JAX's own exchange format. Executables are stored by JAX's persistent compilation
+# cache.
 #
-# A file is found by all that tracing depends on: the source of this package, the versions of the
-# libraries, their settings, and the structure of the arguments. Whatever goes wrong, the caller
-# traces as without it.
+# A file is identified by all that tracing depends on: the source of this package, the versions of
+# the libraries, their settings, and the structure of the arguments. If anything fails, the caller
+# traces the program as without the cache.
 
 _SETTINGS = ("JAX_", "XLA_", "EQX_")
 
-# Calls whose form JAX may change between versions; a file is read by one version only.
+# Calls whose form JAX may change between versions. A file is read by one version only.
 _UNSTABLE = ("lapack_sormqr_ffi", "lapack_dormqr_ffi")
 
 _folder: Path | None = None
@@ -278,27 +279,28 @@ _log = logging.getLogger(__name__)
 Call = Callable[..., Any]
 
 Given = tuple[tuple[Any, ...], dict[str, Any]]
-"""Positional arguments, and those by name."""
+"""Positional arguments and keyword arguments."""
 
 _in_use: "weakref.WeakSet[CachedProgram]" = weakref.WeakSet()
 
-# Each compiled program maps memory, and Linux lets a process have 65,530 maps: beyond them the
-# compiler fails, and the process with it.
+# Each compiled program maps memory, and Linux limits a process to 65,530 maps. Beyond this number
+# the compiler fails, and with it the process.
 _MAPS = Path("/proc/self/maps")
 _MOST_MAPS = 30_000
-_left = 0  # when they were last forgotten
+_left = 0  # number of maps when programs were last dropped
 
 
 def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
-    """Drop this process's compiled programs where they have mapped more memory than so many times.
+    """Drop the compiled programs of this process if it has more than `most` memory maps.
 
-    What is needed again is compiled again, or read from the cache. For what makes many different
-    fits in one process; to be called between two. What else maps memory is left out of it.
+    Programs that are needed again are compiled again, or read from the cache. This function is for
+    code that makes many different fits in one process, and is called between two of them. Memory
+    maps that remain after the last call are taken into account.
     """
     global _left
     try:
         count = _MAPS.read_bytes().count(b"\n")
-    except OSError:  # of another system
+    except OSError:  # another operating system
         return
     if count <= max(most, _left + most // 10):
         return
@@ -310,10 +312,10 @@ def forget_programs_if_many(most: int = _MOST_MAPS) -> None:
 
 
 def cache_programs(folder: Path) -> None:
-    """From now on, keep programs in a folder, and use those that are there.
+    """Store programs in a folder from now on, and use those that are already there.
 
-    To be called by a process whose code does not change while it runs: what a test or a notebook
-    patches is not seen in the source, and must not be kept.
+    This must only be called by a process whose code does not change while it runs. Changes by a
+    test or a notebook are not visible in the source and must not be stored.
     """
     global _folder
     _folder = folder
@@ -321,13 +323,13 @@ def cache_programs(folder: Path) -> None:
 
 
 def caches_programs() -> bool:
-    """Whether programs are kept; not where JAX is to look into them."""
+    """Return whether programs are stored; they are not if JAX must inspect their operations."""
     looking = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs")
     return _folder is not None and not any(getattr(jax.config, name) for name in looking)
 
 
 class CachedProgram:
-    """A function whose programs are kept, with options of `jax.jit`."""
+    """Function whose programs are stored, with options of `jax.jit`."""
 
     def __init__(self, function: Call, options: dict[str, Any]) -> None:
         self._function, self._options = function, options
@@ -337,21 +339,22 @@ class CachedProgram:
         _in_use.add(self)
 
     def forget(self) -> None:
-        """Drop what is loaded; what is kept on disk stays."""
+        """Drop the loaded programs; files on disk are kept."""
         self._calls.clear()
         self._alike.clear()
 
     def given(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Given:
-        """The arguments in one form: however one is given, it is the same program."""
+        """Return the arguments in a canonical form, so equivalent calls share a program."""
         bound = self._signature.bind(*args, **kwargs)
         bound.apply_defaults()
         return bound.args, bound.kwargs
 
     def ready(self, args: Given) -> Call | None:
-        """What computes the function for arguments like these; None if it cannot be kept."""
+        """Return a compiled function for arguments like these; None if it cannot be stored."""
         leaves, tree = jax.tree.flatten(args)
         try:
-            # By equality of what is static, as JAX itself: ten times as fast as by the text.
+            # Static parts are compared by equality, as in JAX, which is ten times as fast as by the
+            # text.
             alike = tree, tuple(map(leaf_kind, leaves))
             return self._alike[alike]
         except KeyError:
@@ -359,13 +362,13 @@ class CachedProgram:
             if found is not None:
                 self._alike[alike] = found
             return found
-        except (TypeError, ValueError):  # a part that has no hash, or cannot be compared
+        except (TypeError, ValueError):  # a part cannot be hashed or compared
             return self._by_text(args)
 
     def _by_text(self, args: Given) -> Call | None:
         try:
             key = structure(args)
-            # What is no array is a part of the program with all its numbers.
+            # Leaves that are not arrays are part of the program, including all their numbers.
             rest = (leaf for leaf in jax.tree.leaves(args) if not eqx.is_array(leaf))
             key += "".join(part for leaf in rest for part in _Traced().parts(leaf, whole=True))
         except NoStructureError:
@@ -375,7 +378,7 @@ class CachedProgram:
         try:
             found: Call | None = self._prepared(key, args)
         except Exception:
-            # Whatever is wrong with the arguments, the function itself says it better.
+            # If the arguments are invalid, the function itself raises a better error.
             _log.debug("%s is not kept", self._function, exc_info=True)
             found = None
         self._calls[key] = found
@@ -390,7 +393,7 @@ class CachedProgram:
             text, module = read(path).split(b"\n", 1)
             result = restored(json.loads(text))
         except (OSError, ValueError, TypeError):
-            # Not there, not as it was written, or of classes that this process does not know.
+            # The file is missing or damaged, or has classes that this process has not imported.
             _log.debug("%s is traced", self._function)
             result, traced = self._traced(args, leaves)
             module = traced.mlir_module_serialized
@@ -400,13 +403,13 @@ class CachedProgram:
         if traced is not None:
             if _calling(traced) != _calling(blank):
                 raise ValueError("the function has side effects besides returning arrays")
-            # Where somebody edits meanwhile, nobody knows which source was traced.
+            # If the source was edited meanwhile, it is unknown which version was traced.
             with contextlib.suppress(NoStructureError):
                 text = json.dumps(described(result)).encode()
                 if sources() == origin():
                     write(path, text + b"\n" + module)
         known = dataclasses.replace(blank, mlir_module_serialized=module)
-        # The same text in every process: the compilation cache knows it.
+        # The text is the same in every process, so the compilation cache recognises it.
         compiled = jax.jit(known.call, **self._options).lower(*leaves).compile()
 
         def call(args: Given) -> Any:
@@ -416,7 +419,7 @@ class CachedProgram:
         return call
 
     def _traced(self, args: Given, leaves: Sequence[Any]) -> tuple[Any, export.Exported]:
-        """What the function returns, with shapes for arrays, and its program."""
+        """Return the result of the function, with shapes instead of arrays, and its program."""
         dynamic, static = eqx.partition(args, eqx.is_array)
         tree = jax.tree.structure(dynamic)
         returned: list[Any] = []
@@ -425,7 +428,8 @@ class CachedProgram:
             given, named = eqx.combine(jax.tree.unflatten(tree, leaves), static)
             result = self._function(*given, **named)
             arrays, rest = eqx.partition(result, eqx.is_array)
-            # Not of a weak type: what takes it next is then one program, not two.
+            # The arrays are not weakly typed, so a function that uses them has one program rather
+            # than two.
             arrays = jax.tree.map(lambda x: jax.lax.convert_element_type(x, x.dtype), arrays)
             shaped = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), arrays)
             returned.append(eqx.combine(shaped, rest))
@@ -436,7 +440,7 @@ class CachedProgram:
         return returned[-1], whole
 
     def _name(self, key: str) -> str:
-        """The name of the file."""
+        """Return the name of the file."""
         name = f"{self._function.__module__}.{_qualified(self._function)}"
         settings = sorted((k, v) for k, v in os.environ.items() if k.startswith(_SETTINGS))
         device = jax.devices()[0]
@@ -446,7 +450,7 @@ class CachedProgram:
 
 
 def described(tree: Any) -> Any:
-    """A tree, with shapes for arrays, as values of JSON: names, and nothing that could be run.
+    """Describe a tree, with shapes instead of arrays, as JSON: names only, without code.
 
     Raises:
         NoStructureError: a part of it cannot be described.
@@ -469,10 +473,10 @@ def described(tree: Any) -> Any:
 
 
 def restored(text: Any) -> Any:
-    """The tree that `described` describes.
+    """Return the tree that a description of `described` represents.
 
     Raises:
-        ValueError: it has a class that is not what it was, or that nothing has imported.
+        ValueError: it has a class that has changed or has not been imported.
     """
     match text:
         case {"shape": shape, "dtype": dtype}:
@@ -489,13 +493,13 @@ def restored(text: Any) -> Any:
             if kind in (tuple, list):
                 return kind(parts)
             if isinstance(kind, type) and issubclass(kind, tuple):
-                # Also of a named one: no code of the class is run.
+                # This includes named tuples; no code of the class is executed.
                 return tuple.__new__(kind, parts)
         case {"class": name, "fields": fields}:
             kind = _named(*name)
             known = isinstance(kind, type) and issubclass(kind, eqx.Module)
             if known and {field.name for field in dataclasses.fields(kind)} == set(fields):
-                # As JAX itself makes one of its leaves.
+                # JAX itself creates a module from its leaves in this way.
                 made = object.__new__(kind)
                 for field, value in fields.items():
                     object.__setattr__(made, field, restored(value))
@@ -515,7 +519,7 @@ def _arrays(args: Given) -> list[Any]:
 
 
 def leaf_kind(leaf: Any) -> Any:
-    """What of a leaf decides how it is traced."""
+    """Return the properties of a leaf that determine how it is traced."""
     if eqx.is_array(leaf):
         return leaf.shape, leaf.dtype, getattr(leaf, "weak_type", False)
     return type(leaf), leaf
@@ -526,7 +530,7 @@ def _is_shaped(leaf: Any) -> bool:
 
 
 def _blank(shapes: Sequence[Any], leaves: Sequence[Any]) -> export.Exported:
-    """A program of zeros that takes and returns the same: only its module is another."""
+    """Return a program that returns zeros of the same shapes; it differs only in its module."""
 
     def zeros(*leaves: Any) -> tuple[Any, ...]:
         del leaves
@@ -535,7 +539,7 @@ def _blank(shapes: Sequence[Any], leaves: Sequence[Any]) -> export.Exported:
     return export.export(jax.jit(zeros, keep_unused=True))(*leaves)
 
 
-# How an exported program is called.
+# Properties that define how an exported program is called.
 _calling = operator.attrgetter(
     *("in_tree", "in_avals", "out_tree", "out_avals", "platforms", "nr_devices"),
     *("ordered_effects", "unordered_effects", "module_kept_var_idx", "uses_global_constants"),
@@ -543,11 +547,11 @@ _calling = operator.attrgetter(
 )
 
 
-# Compiled programs, with the options of XLA that suit a long chain on a CPU.
+# Compiled programs, with XLA options that suit a long chain on a CPU.
 #
 # The default code generator of XLA for CPUs fuses the many small operations of a chain into large
-# kernels. On the dynamics of an arm it compiles twice as long as the older one, and what it makes
-# is a third slower; a schedule that minimises memory keeps the rows of a chain in the cache.
+# kernels. For the dynamics of an arm, it compiles twice as long as the older generator, and the
+# result is a third slower. A schedule that minimises memory keeps the rows of a chain in the cache.
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -559,16 +563,16 @@ CPU_OPTIONS = {
 
 
 def program(function: Function) -> Function:
-    """Compile a function as `equinox.filter_jit` does, on a CPU with `CPU_OPTIONS`.
+    """Compile a function like `equinox.filter_jit`, on a CPU with `CPU_OPTIONS`.
 
-    XLA takes options for whole programs only: within another program, and under a transformation
-    of JAX, the function becomes a part of that one, and has its options.
+    XLA accepts options for whole programs only. Within another program, or under a JAX
+    transformation, the function becomes part of that program and has its options.
 
-    Where the process keeps programs (`cache_programs`), those of a function of a module are kept
-    between processes, and are not traced again.
+    If the process stores programs (`cache_programs`), the programs of a function at the top level
+    of a module are stored between processes and are not traced again.
 
     Arguments:
-        function: a pure function of pytrees; leaves that are not arrays are static.
+        function: pure function of pytrees; leaves that are not arrays are static.
     """
     part = eqx.filter_jit(function)
     whole: Callable[..., Any] | None = None
@@ -594,9 +598,9 @@ def program(function: Function) -> Function:
         if (found := ready(args, kwargs)) is not None:
             return found()
         if whole is None:
-            # Asks for the device, which an import must not do.
+            # This accesses the device, which must not happen during an import.
             options = _options()
-            # Equinox passes what it does not know on to `jax.jit`; its annotations leave that out.
+            # Equinox passes unknown options to `jax.jit`, but its annotations omit them.
             compiled: Any = functools.partial(eqx.filter_jit, **options)
             whole = compiled(function)
         return whole(*args, **kwargs)
@@ -609,24 +613,24 @@ def program(function: Function) -> Function:
 
 
 def compiled_ahead(call: Callable[..., Any], *args: Any) -> bool:
-    """Have a program for arguments like these at hand, without a run; whether that can be."""
+    """Prepare a program for arguments like these without a run; return whether it succeeded."""
     ahead: Callable[..., bool] | None = getattr(call, "ahead", None)
     return ahead is not None and ahead(*args)
 
 
 def _is_traced(arguments: Any) -> bool:
-    """Whether a program is being traced (then even a constant is a part of it), or an argument."""
+    """Return whether a program, in which even constants are traced, or an argument is traced."""
     leaves = [jax.device_put(np.float32(0)), *jax.tree.leaves(arguments)]
     return any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
 
 
 @functools.cache
 def _options() -> dict[str, Any]:
-    """Arguments of `jax.jit`: the options, where the device is a CPU and its XLA knows them."""
+    """Return the arguments of `jax.jit`: the options if the device is a CPU that supports them."""
     if jax.default_backend() != "cpu":
         return {}
     try:
-        # XLA refuses a name that it does not know, and names come and go with its versions.
+        # XLA rejects unknown names, and the names differ between its versions.
         jax.jit(lambda: np.float32(0), compiler_options=CPU_OPTIONS)()
     except Exception:
         return {}

@@ -1,9 +1,9 @@
-"""Records as JSON and back: one codec of all frozen dataclasses that files hold.
+"""Storage of records as JSON, with one codec for all frozen dataclasses in files.
 
-A record becomes an object with a key for each field, in their order; tuples and arrays become
-lists. JSON knows neither NaN nor infinity: what is not finite is null, and None when it is read
-again. A field with a default may be missing, because earlier versions lack what was added since; an
-unknown key is an error. Numbers stay as they were written: 1 does not become 1.0.
+A record becomes an object with one key per field, in order. Tuples and arrays become lists. JSON
+has neither NaN nor infinity: values that are not finite become null, and None when they are read
+again. A field with a default may be missing, because earlier versions lack later fields. An unknown
+key is an error. Numbers are read as they were written: 1 does not become 1.0.
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ else:
 
 
 def plain_data(value: Any) -> Any:
-    """A value as JSON gives it back (`TypeError`: there is no form of it in JSON)."""
+    """Return a value as JSON would restore it (`TypeError`: it has no form in JSON)."""
     if isinstance(value, bool | int | str | None):
         return value
     if isinstance(value, float):
@@ -55,19 +55,19 @@ def plain_data(value: Any) -> Any:
 
 
 def finite_or_none(value: float | None) -> float | None:
-    """A finite number, or None."""
+    """Return a number if it is finite, otherwise None."""
     return float(value) if value is not None and math.isfinite(value) else None
 
 
 def json_text(record: Any, head: Mapping[str, Any] | None = None, indent: int = 2) -> str:
-    """The text of a file that holds a dataclass or plain data, with the keys of `head` first."""
+    """Return the text of a file with a dataclass or plain data, with the keys of `head` first."""
     return json.dumps({**(head or {}), **plain_data(record)}, indent=indent, allow_nan=False) + "\n"
 
 
 def parse_record(
     kind: type[Kind], text: str | bytes, head: Mapping[str, Any], what: str, remedy: str
 ) -> Kind:
-    """The record that a text of `json_text` with this `head` holds; else as `from_plain`."""
+    """Return the record in a text of `json_text` with this `head`; errors as in `from_plain`."""
     try:
         data = parse_json(text if isinstance(text, str) else text.decode(), what)
     except InputError:
@@ -84,19 +84,19 @@ def parse_record(
 def from_plain(
     kind: type[Kind],
     data: Any,
-    what: str = "this is not a record of giajax",
+    what: str = "this is not a giajax record",
     remedy: str = "correct it",
 ) -> Kind:
-    """The record that plain data hold.
+    """Return the record in plain data.
 
     Arguments:
-        kind: the dataclass, or a type made of some: `dict[str, Estimate]`.
-        data: as JSON gives them.
-        what: the beginning of an error, such as "FILE is not a result of giajax".
-        remedy: its end.
+        kind: the dataclass, or a type composed of dataclasses: `dict[str, Estimate]`.
+        data: data as read from JSON.
+        what: beginning of an error message, such as "FILE is not a giajax result".
+        remedy: end of an error message.
 
     Raises:
-        InputError: naming the first key that is missing, unknown, or not what it must be.
+        InputError: the message names the first key that is missing, unknown or invalid.
     """
     try:
         record: Kind = _reader(cast(Hashable, kind)).validate_python(data)
@@ -122,7 +122,7 @@ _NUMBER = core_schema.union_schema(
 
 
 def _as_stored(schema: Any) -> Any:
-    """A schema of pydantic by the rules of stored records, which differ from those of a program."""
+    """Convert a pydantic schema to the rules of stored records, which are stricter."""
     if isinstance(schema, list | tuple):
         return type(schema)(map(_as_stored, schema))
     if not isinstance(schema, dict):
@@ -138,7 +138,7 @@ def _as_stored(schema: Any) -> Any:
     return stored
 
 
-# By the codes of pydantic, whose own words change.
+# The texts are selected by pydantic's error codes, because its own messages change.
 _MUST = {
     "number": "a number",
     "string_type": "text",
@@ -154,8 +154,8 @@ _MUST = {
 
 
 def _complaint(error: ValidationError, data: Any) -> str:
-    """What is wrong with plain data, and where."""
-    # Of the branches of a union, the one that the data follow farthest.
+    """Describe the error in plain data and its location."""
+    # For a union, the error of the branch that matches the data farthest is reported.
     errors = error.errors(include_url=False)
     places = [_place(one["loc"], one["type"] == "missing", data) for one in errors]
     first, (path, value) = max(zip(errors, places, strict=True), key=lambda pair: len(pair[1][0]))
@@ -174,7 +174,7 @@ def _complaint(error: ValidationError, data: Any) -> str:
 
 
 def _place(location: Sequence[int | str], missing: bool, data: Any) -> tuple[list[int | str], Any]:
-    """Keys and positions that lead to what an error is about, and what is there."""
+    """Return the keys and indices that lead to the location of an error, and the value there."""
     path: list[int | str] = []
     for number, part in enumerate(location):
         known = dict(enumerate(data)) if isinstance(data, list) else data

@@ -1,4 +1,4 @@
-"""Solvers of diffrax and optimistix as text, as Python would write them. Imports no JAX."""
+"""Solvers of diffrax and optimistix as text in Python syntax. This module does not import JAX."""
 
 import ast
 import dataclasses
@@ -10,14 +10,14 @@ from .process import configure, is_own_process
 from .text import InputError, shown
 
 _PACKAGES = ("diffrax", "optimistix")
-_LONGEST = 1_000  # of a text
+_LONGEST = 1_000  # maximum length of a text
 
 
 def as_text(given: Any) -> Any:
-    """A solver or controller as files state it; what is no such object as it is.
+    """Return a solver or controller as text for files; other objects are returned unchanged.
 
     Raises:
-        InputError: its class is neither of diffrax nor registered, or a field is not a number.
+        InputError: its class is neither from diffrax nor registered, or a field is not a number.
     """
     if not dataclasses.is_dataclass(given):
         return given
@@ -38,10 +38,10 @@ def as_text(given: Any) -> Any:
 
 
 def from_text(text: str) -> Any:
-    """The object that a text such as `Kvaerno5(scan_kind="lax")` describes.
+    """Return the object that a text such as `Kvaerno5(scan_kind="lax")` describes.
 
     Raises:
-        InputError: it does not describe one, or there is no such class.
+        InputError: it does not describe an object, or there is no such class.
     """
     try:
         return _made(ast.parse(text[:_LONGEST], mode="eval").body)

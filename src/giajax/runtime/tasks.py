@@ -1,4 +1,4 @@
-"""A task: a call of a function, known by a key of its content, with a file for its outcome."""
+"""Tasks: calls of functions, identified by a key of their content, with files for the outcomes."""
 
 import dataclasses
 import functools
@@ -18,17 +18,17 @@ from .text import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """One of many calls, which any worker can make.
+    """One of many calls, which any worker can perform.
 
     Attributes:
-        function: at the top of a module that workers can import: itself, or its name as
-            "module:function". What it returns is written as JSON (`Outcome.value`).
-        arguments: by name: plain data, arrays, modules of Equinox, or whatever can be pickled.
-            What has a text `task_key` counts by that.
-        seed: of the whole study, for a function that draws random numbers: it is called with
-            `seed=task.own_seed` beside its arguments. None for one that draws none.
-        aside: further arguments, which do not count for the key: where a file lies that an argument
-            has the checksum of.
+        function: function at the top level of a module that workers can import, or its name as
+            "module:function". Its return value is stored as JSON (`Outcome.value`).
+        arguments: arguments by name: plain data, arrays, Equinox modules, or any object that can be
+            pickled. An object with a text `task_key` is identified by this key.
+        seed: seed of the whole study, for a function that draws random numbers; it is called with
+            `seed=task.own_seed` in addition to its arguments. None for other functions.
+        aside: further arguments that do not affect the key, such as the location of a file whose
+            checksum is an argument.
 
     Example:
         >>> from giajax.runtime.tasks import Task
@@ -48,19 +48,19 @@ class Task:
         if "<" in name or name.count(":") != 1:
             raise InputError(
                 f"other processes cannot find the function {name} of a task: give a function "
-                'at the top of a module, or its name as "module:function"'
+                'at the top level of a module, or its name as "module:function"'
             )
         object.__setattr__(self, "function", name)
 
     @functools.cached_property
     def key(self) -> str:
-        """SHA-256 of function, arguments and seed, in hexadecimal digits.
+        """SHA-256 of the function, the arguments and the seed, in hexadecimal digits.
 
-        Arrays and modules count by their content. Where code of giajax lies does not count
-        (`giajax.runtime.identities`), nor does its version.
+        Arrays and modules are identified by their content. The key depends neither on the location
+        of giajax code (`giajax.runtime.identities`) nor on the version of giajax.
 
         Raises:
-            InputError: an argument that nothing describes in every process alike.
+            InputError: an argument has no description that is the same in every process.
         """
         place = str(self.function)
         content = {
@@ -74,7 +74,7 @@ class Task:
 
     @property
     def own_seed(self) -> int:
-        """Seed of this task, below 2^63: by the study's seed and the key, wherever it runs."""
+        """Seed of this task, below 2^63, from the seed of the study and the key, on any worker."""
         import numpy as np
 
         words = [int(self.key[at : at + 8], 16) for at in range(0, len(self.key), 8)]
@@ -82,7 +82,7 @@ class Task:
         return int(state[0]) >> 1
 
     def call(self) -> Any:
-        """What the function returns."""
+        """Call the function and return its result."""
         module, _, name = str(self.function).partition(":")
         function: Any = importlib.import_module(module)
         for part in name.split("."):
@@ -92,7 +92,7 @@ class Task:
 
 
 def _described(value: Any) -> Any:
-    """Of what JSON has no form for: a text that says what it is."""
+    """Return a text that identifies an object without a JSON form."""
     if isinstance(value, PurePath):
         return str(value)
     if isinstance(value, Mapping):
@@ -118,17 +118,17 @@ _HEAD = {"giajax_task": 1}
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of a task.
+    """Outcome of a task.
 
     Attributes:
-        key: of the task.
-        status: "done"; "failed", with a sentence; or "stopped" where Ctrl-C came before it was
-            done, so that it is to be run again.
-        value: what the function returned, as plain data: arrays are lists, what is not finite is
-            None. None unless it is done.
-        message: why it failed; empty where it did not.
-        seconds: that it took, s.
-        worker: machine and process that did it; empty where none did.
+        key: key of the task.
+        status: "done"; "failed", with a sentence; or "stopped" if Ctrl-C was pressed before the
+            task was completed, so it must be repeated.
+        value: return value of the function as plain data: arrays are lists, values that are not
+            finite are None. None unless the task is done.
+        message: reason of a failure, otherwise empty.
+        seconds: duration, s.
+        worker: machine and process that performed the task; empty if it was not performed.
     """
 
     key: str
@@ -140,7 +140,7 @@ class Outcome:
 
 
 def write_outcome(folder: Path, outcome: Outcome) -> None:
-    """Write `KEY.json` into a folder, made where it is missing; it is whole or not there.
+    """Write `KEY.json` atomically into a folder, which is created if it is missing.
 
     Raises:
         InputError: it cannot be written.
@@ -150,11 +150,11 @@ def write_outcome(folder: Path, outcome: Outcome) -> None:
 
 
 def read_outcome(folder: str | Path, key: str) -> Outcome | None:
-    """What is kept of a task that is done; None if its file is missing, damaged or of another."""
+    """Return the stored outcome of a completed task; None if its file is missing or damaged."""
     try:
         text = read_bytes(outcome_path(Path(folder), key), RESULT_BYTES)
         outcome = parse_record(
-            Outcome, text, _HEAD, "this is not an outcome of a task", "run the task again"
+            Outcome, text, _HEAD, "this is not the outcome of a task", "run the task again"
         )
     except (OSError, InputError):
         return None
@@ -162,5 +162,5 @@ def read_outcome(folder: str | Path, key: str) -> Outcome | None:
 
 
 def outcome_path(folder: Path, key: str) -> Path:
-    """The file of a task."""
+    """Return the path of the file of a task."""
     return folder / f"{key}.json"

@@ -1,4 +1,4 @@
-"""Sentences and numbers as text, and the error that a person's input causes."""
+"""Formatting of sentences and numbers, and the error for invalid input."""
 
 import abc
 import contextlib
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_DIGITS = 6  # digits of a value that has no standard error to say how many it deserves
-_LEAST_FIXED = 1e-4  # below this a number is written with an exponent: nobody counts five zeros
+# Number of digits of a value without a standard error.
+_DIGITS = 6
+# Smaller numbers are written with an exponent, because many leading zeros are hard to count.
+_LEAST_FIXED = 1e-4
 
 
 def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]:
-    """A value and its standard error with the digits that they deserve.
+    """Format a value and its standard error with the significant digits.
 
     The error has two significant digits and the value ends at the same decimal place.
 
@@ -41,7 +43,7 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
         return (text if low == high else f"{text} .. {high:.{_DIGITS}g}"), "-"
     if standard_error is None or not math.isfinite(standard_error) or standard_error <= 0:
         return f"{value:.{_DIGITS}g}", "-"
-    # Through the rounded number: 0.0999 becomes 0.10, not 0.100.
+    # The exponent is taken from the rounded error, so that 0.0999 becomes 0.10 rather than 0.100.
     exponent = int(f"{standard_error:.1e}".partition("e")[2])
     decimals = 1 - exponent
     if max(abs(value), standard_error) >= _LEAST_FIXED and -4 <= decimals <= 7:
@@ -55,17 +57,17 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
 
 
 def format_number(value: float | None, digits: str = ".5g", missing: str = "-") -> str:
-    """A number in so many digits; a word where there is none."""
+    """Format a number with the given digits, or return a word if there is none."""
     return missing if value is None else f"{value:{digits}}"
 
 
 def format_range(
     ends: Sequence[float | None] | None, error: float | None = None, factor: float = 1.0
 ) -> str:
-    """Both ends of an interval times a factor, `open` for one that is not there; a dash of None.
+    """Format the ends of an interval times a factor: `open` for a missing end, a dash for None.
 
-    With a standard error they end at the decimal place at which `format_estimate` has a value end,
-    else they have 5 significant digits.
+    With a standard error, the ends have the decimal places of `format_estimate`, otherwise 5
+    significant digits.
 
     Example:
         >>> format_range((0.25, None), factor=2.0), format_range((1.0867, 1.133), 0.012)
@@ -82,7 +84,7 @@ def format_range(
 
 
 def format_bounds(lower: float | None, upper: float | None) -> str:
-    """Where a value may be; a dash where it may be anywhere."""
+    """Format the bounds of a value; a dash if it has none."""
     if lower is None and upper is None:
         return "-"
     if upper is None:
@@ -91,7 +93,7 @@ def format_bounds(lower: float | None, upper: float | None) -> str:
 
 
 def time_in_words(seconds: float) -> str:
-    """A time as a person says it.
+    """Format a duration with a suitable unit.
 
     Example:
         >>> time_in_words(45.2), time_in_words(600.0), time_in_words(5400.0)
@@ -104,9 +106,9 @@ def time_in_words(seconds: float) -> str:
 
 
 def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[str]:
-    """Lines of a text with what the first and the others begin with; none where it is empty.
+    """Wrap a text, with prefixes for the first and the other lines; an empty text has no lines.
 
-    Without a width nothing is wrapped.
+    Without a width the text is not wrapped.
     """
     if not text:
         return []
@@ -123,7 +125,7 @@ def wrapped(text: str, width: int | None, first: str, others: str) -> Sequence[s
 
 
 def one_of(names: Iterable[Any]) -> str:
-    """`a`, `a or b`, `a, b or c`."""
+    """Join names: `a`, `a or b`, `a, b or c`."""
     listed = [str(name) for name in names]
     if len(listed) < 2:
         return "".join(listed)
@@ -131,33 +133,34 @@ def one_of(names: Iterable[Any]) -> str:
 
 
 def shown(value: Any, longest: int = 60) -> str:
-    """A value much as its author wrote it, on one line and not longer than a line."""
+    """Return a value much as its author wrote it, shortened to one line."""
     if isinstance(value, str | bytes):
-        value = value[: longest + 1]  # enough to see that it is longer
+        value = value[: longest + 1]  # sufficient to detect that it is too long
     text = repr(value) if not isinstance(value, bool) else str(value).lower()
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
 class ShownAsTable:
-    """What a notebook and `rich` show as a table of text; what looks like markup in it is text."""
+    """Base of objects that notebooks and `rich` show as a table; markup in it is plain text."""
 
-    _most_rows: ClassVar[int | None] = 24  # more cannot be read at a glance
+    _most_rows: ClassVar[int | None] = 24  # more rows would be hard to read
 
     @abc.abstractmethod
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
-        """The title, the headings, which may all be empty, and the rows."""
+        """Return the title, the headings, which may all be empty, and the rows."""
 
     def _few(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
         try:
             title, headings, rows = self._table()
         except Exception:
-            # A batch of arms, half of one, or one without numbers: a notebook shows it, too.
+            # A notebook must also show a batch of arms, an incomplete arm, or an arm without
+            # numbers.
             return type(self).__name__, ("",), [(repr(self),)]
         rest = 0 if self._most_rows is None else len(rows) - self._most_rows
         return title, headings, [*rows[: self._most_rows], *([(f"{rest} more",)] * (rest > 0))]
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return the HTML that a notebook shows."""
         title, headings, rows = self._few()
 
         def line(cells: Sequence[str], tag: str) -> str:
@@ -168,7 +171,7 @@ class ShownAsTable:
         return f"<p>{html.escape(title)}</p><table>{head}<tbody>{body}</tbody></table>"
 
     def __rich__(self) -> "rich.table.Table":
-        """What `rich.print` shows."""
+        """Return the table that `rich.print` shows."""
         from rich.table import Table
         from rich.text import Text
 
@@ -181,11 +184,12 @@ class ShownAsTable:
         return table
 
 
-_SENTENCE = 24  # a cell that is longer is text, which may go over several lines
+# A longer cell is text that may be wrapped.
+_SENTENCE = 24
 
 
 def narrowest(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[tuple[int, bool]]:
-    """How narrow each column of a table may be before something is cut, and whether it wraps."""
+    """Return the minimum width of each column of a table, and whether the column wraps."""
     columns = zip(headings, *(row for row in rows if len(row) == len(headings)), strict=True)
     found = []
     for column in columns:
@@ -197,11 +201,12 @@ def narrowest(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[tu
 
 
 def install_command(extra: str) -> str:
-    """What a person types to install an extra of the giajax that runs.
+    """Return the command that installs an extra of the running giajax.
 
-    Of one that was installed from a checkout that is by its folder: no index need have giajax.
+    For an installation from a checkout, the command contains its folder, because no package index
+    need provide giajax.
     """
-    # Slow to import, and seldom asked.
+    # Imported here because they are slow to import and rarely needed.
     from importlib.metadata import PackageNotFoundError, distribution
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
@@ -219,16 +224,16 @@ def install_command(extra: str) -> str:
     return f"{python} -m pip install {editable}{where}"
 
 
-# A path of a deep folder, and a sentence that lists what there is.
+# Lengths that are sufficient for the path of a deep folder and for a sentence with a list.
 _LONGEST_WORD = 300
 _LONGEST_SENTENCE = 2_000
 
 
 def abridged(sentence: str) -> str:
-    """A sentence without the middle of its endless words, and of itself where it is endless.
+    """Shorten a sentence by omitting the middle of very long words or of the sentence itself.
 
-    What a file has where a name or a number should be may be a megabyte long. The beginning says
-    what it is and the end what to do.
+    An invalid name or number in a file may have a megabyte. The beginning identifies it and the end
+    contains the remedy.
     """
     if len(sentence) <= _LONGEST_WORD:
         return sentence
@@ -241,7 +246,7 @@ def _without_middle(text: str, each: int) -> str:
 
 
 def error_in_words(error: BaseException) -> str:
-    """An error other than an `InputError` on one line: what, where, and why."""
+    """Describe an error other than an `InputError` on one line: type, location and reason."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({PurePath(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     return abridged(" ".join(f"{type(error).__name__}{where}: {error}".split()))
@@ -250,9 +255,9 @@ def error_in_words(error: BaseException) -> str:
 class InputError(ValueError):
     """The input cannot be used.
 
-    The message is one sentence: what is wrong and, after a colon, what to do. The command
-    line prints it without a traceback and ends with exit status 2. What it repeats of the input is
-    cut where it is endless.
+    The message is one sentence: what is wrong and, after a colon, what to do. The command line
+    prints it without a traceback and exits with status 2. Very long quotes of the input are
+    shortened.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -261,7 +266,7 @@ class InputError(ValueError):
 
 @contextlib.contextmanager
 def tried(what: str) -> Iterator[None]:
-    """Code of a user's that is tried: an exception in it is an `InputError` that names it."""
+    """Run user code such that an exception in it becomes an `InputError` that names the code."""
     try:
         yield
     except InputError:
@@ -277,13 +282,13 @@ __version__: str
 def __getattr__(name: str) -> str:
     if name != "__version__":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import version  # slow to import, and seldom asked
+    from importlib.metadata import version  # slow to import, and rarely needed
 
     return version("giajax")
 
 
 def keywords_listed(defaults: Mapping[str, Any] | None = None) -> Callable[[Function], Function]:
-    """Have the signature of a function list each keyword of its `Unpack`, by default as here."""
+    """List each keyword of an `Unpack` argument in a function's signature, with these defaults."""
 
     def listed(function: Function) -> Function:
         signature = inspect.signature(function)

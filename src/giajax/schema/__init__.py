@@ -1,4 +1,4 @@
-"""What parameters, files and kinds of models are declared to be. Imports no JAX."""
+"""Declarations of parameters, files and kinds of models. Does not import JAX."""
 
 from ._arm import (
     ARM as ARM,

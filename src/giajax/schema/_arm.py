@@ -1,4 +1,4 @@
-"""An arm: from joint commands, torques and wind to positions and joint angles."""
+"""Kind of the arm: from joint commands, torques and wind to positions and joint angles."""
 
 from collections.abc import Callable, Collection, Sequence
 from typing import Any
@@ -30,11 +30,11 @@ from ._kind import (
 from ._quantities_arm import AIR, BASE, CONTACT, NO_NEUTRAL
 
 PRESSURES = ("joint_pressure_first", "joint_pressure_second")
-"""Rows of the column table: of the muscle towards which a positive angle bends, and the other."""
+"""Rows of the column table: a positive angle bends a joint towards the muscle of the first row."""
 
 
 def check_pressures(content: RecordedRun, naming: Naming) -> None:
-    """Both muscles of a joint, pressures that there are, and no other command of that joint."""
+    """Require pressures of both muscles of a joint, none below 0, and no other command."""
     names = {(channel.kind, channel.index): channel for channel in content.channels.values()}
     for (kind, joint), channel in names.items():
         if kind not in PRESSURES:
@@ -43,8 +43,8 @@ def check_pressures(content: RecordedRun, naming: Naming) -> None:
         if (other, joint) not in names:
             raise InputError(
                 f"{naming.source}: {naming.of(channel)} is given without the column of the other "
-                f"muscle of the joint:"
-                f" add the column joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
+                "muscle of the joint: add the column "
+                f"joint{joint:02d}_{other.removeprefix('joint_')}_kPa"
             )
         if ("joint_command", joint) in names:
             raise InputError(
@@ -65,7 +65,7 @@ def check_pressures(content: RecordedRun, naming: Naming) -> None:
 
 
 def _with_muscles(section: ArmSection) -> Callable[[int | None], bool] | None:
-    """Whether a joint has muscles; None where it is not known here."""
+    """Return a function that tells whether a joint has muscles; None if it cannot be known here."""
     muscles, axes = section.muscles, section.joint_axes
     if isinstance(muscles, list):
         return lambda joint: joint in muscles
@@ -81,9 +81,9 @@ DEFAULT_LINKS = 20
 
 
 def from_default_preset(section: ArmSection) -> dict[str, Any]:
-    """What a section leaves to the default preset, which it does not name: values by path.
+    """Return the values by path that a section without a preset takes from the default preset.
 
-    That is what has no neutral value, or has another one in the preset.
+    These are the quantities that have no neutral value, or that have another value in the preset.
     """
     if section.preset is not None:
         return {}
@@ -94,9 +94,10 @@ def from_default_preset(section: ArmSection) -> dict[str, Any]:
 
 
 def missing_of_chain(section: ArmSection) -> list[str]:
-    """What a section of the preset "chain" does not state of what no arm can be built without.
+    """Return the required quantities that a section of the preset "chain" does not give.
 
-    Which springs an arm of vectors or muscles has is known where it is built.
+    For axes given as vectors or for muscles, the required stiffness is checked when the arm is
+    built.
     """
     if section.preset != "chain":
         return []
@@ -117,11 +118,11 @@ def missing_of_chain(section: ArmSection) -> list[str]:
 
 
 def preset_sentence(taken: Collection[str], where: str = "[arm] names no preset") -> str:
-    """That an arm is that of the default preset in what is not stated, and how to name another."""
+    """Return a sentence on the values taken from the default preset, and how to change it."""
     what = ", ".join(taken) if len(taken) < len(NO_NEUTRAL) else "the constants"
     return (
-        f"{where}: {what} of the preset {DEFAULT_PRESET} are assumed; state a preset in [arm], "
-        'such as "chain" for an arm of your own'
+        f"{where}: {what} of the preset {DEFAULT_PRESET} are assumed (to change this, set preset "
+        'in [arm], for example to "chain" for your own arm)'
     )
 
 
@@ -158,20 +159,20 @@ CHANNELS = (
     ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
 )
 PIXELS = frozenset({"link_pixel", "tip_pixel", "mark_pixel"})
-"""Rows of what cameras with a lens show."""
+"""Rows of the column table for pixels of cameras with a lens."""
 
 WINDS = ("wind", "link_wind")
 COMMANDS = ("joint_command", "joint_torque", *PRESSURES)
 
 
 def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
-    """The sections to offer for a run with these channels."""
+    """Return the sections to offer for a run with these channels."""
     rows = {channel.kind for channel in channels}
     numbered = [channel for channel in channels if channel.kind != "mark_pixel"]
     largest = max((channel.index or 0 for channel in numbered), default=0)
     commanded = bool(rows & set(COMMANDS))
     arm = dict.fromkeys(ArmSection.model_fields) | {"preset": DEFAULT_PRESET}
-    del arm["wind_field"]  # giajax has none that could be offered
+    del arm["wind_field"]  # no wind field is part of giajax
     if largest > DEFAULT_LINKS:
         arm["links"] = largest
     places = {"link_position", "tip_position"}
@@ -191,7 +192,8 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
         SectionTemplate(
             "arm",
             arm,
-            "known constants; a number applies to all links, a list has one value for each link",
+            "known constants; a number applies to all links, and a list has one value for each "
+            "link",
         ),
         SectionTemplate(
             "sensors",
@@ -210,12 +212,12 @@ def arm_template(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
 
 
 def _cameras(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
-    """A section for each camera and each landmark that is recorded."""
+    """Return a section for each recorded camera and each recorded landmark."""
     seen = [channel for channel in channels if channel.kind in PIXELS]
     cameras = sorted({channel.camera or "main" for channel in seen})
     marks = sorted({channel.index or 0 for channel in seen if channel.kind == "mark_pixel"})
     lens = "lens and pose of the camera; a fit can estimate them"
-    where = "position of this landmark; must be stated"
+    where = "position of this landmark; required"
     keys, of_mark = (dict.fromkeys(of.model_fields) for of in (PinholeSection, LandmarkSection))
     return [
         *(SectionTemplate(f"camera.{name}", keys, lens) for name in cameras),
@@ -224,18 +226,18 @@ def _cameras(channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
 
 
 def check_obstacles(section: ArmSection, source: str | None = None) -> None:
-    """Raise `InputError` where a section says how links press, but not against what."""
+    """Raise `InputError` if a section gives contact parameters, but no obstacles."""
     about = "" if source is None else f"{source}: "
     for key in (quantity.key.name for quantity in CONTACT if quantity.key is not None):
         if getattr(section, key) is not None and not section.obstacles:
             raise InputError(
-                f"{about}arm.{key} is stated, but the arm has no obstacles: add them as "
-                f"[[arm.obstacles]], or remove this key"
+                f"{about}arm.{key} is set, but the arm has no obstacles: add them as "
+                "[[arm.obstacles]], or remove this key"
             )
 
 
 def links_of(section: ArmSection) -> int | None:
-    """The number of links of a section or of its preset; None if it is not known here."""
+    """Return the number of links of a section or of its preset; None if it is not known here."""
     if section.links is not None:
         return section.links
     if section.preset in (None, DEFAULT_PRESET):
@@ -253,8 +255,7 @@ def _check(content: RecordedRun, naming: Naming) -> None:
             part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
                 f"{naming.source}: {naming.of(channel)} refers to {part} {channel.index}, but the "
-                f"arm has only"
-                f" {links} links: correct the name, or state links in [arm]"
+                f"arm has only {links} links: correct the name, or set links in [arm]"
             )
     for name, check in (
         ("arm", section.check_lists),
@@ -270,21 +271,20 @@ def _check(content: RecordedRun, naming: Naming) -> None:
         if links is not None and body.link > links:
             raise InputError(
                 f"{naming.source}: a body of arm.point_masses is on link {body.link}, but the arm "
-                f"has only"
-                f" {links} links: correct the number, or state links in [arm]"
+                f"has only {links} links: correct the number, or set links in [arm]"
             )
     _check_motion(content, naming, links)
     check_pressures(content, naming)
     windy = [channel for channel in channels.values() if channel.kind in WINDS]
     if windy and definition.section(WindSection).velocity_m_per_s is not None:
         raise InputError(
-            f"{naming.source}: wind.velocity_m_per_s states a constant wind, but the column "
-            f"{naming.of(windy[0])} records it: remove one of the two"
+            f"{naming.source}: wind.velocity_m_per_s sets a constant wind, but the column "
+            f"{naming.of(windy[0])} records the wind: remove one of them"
         )
 
 
 def _check_motion(content: RecordedRun, naming: Naming, links: int | None) -> None:
-    """What moves the arm: a command, an initial state, or nothing on purpose."""
+    """Require a cause of motion: a command, an initial state, or `free_motion = true`."""
     initial = content.definition.section(InitialSection)
     for key in initial.quantities:
         value = getattr(initial, key)
@@ -297,8 +297,8 @@ def _check_motion(content: RecordedRun, naming: Naming, links: int | None) -> No
     free = bool(content.definition.free_motion)
     if commanded and free:
         raise InputError(
-            f"{naming.source}: free_motion = true is stated, but the run has command columns: "
-            f"remove the key or the columns"
+            f"{naming.source}: free_motion = true is set, but the run has command columns: remove "
+            "the key or the columns"
         )
     if not (commanded or free or initial.first_row or initial.free or initial.values()):
         raise InputError(
@@ -313,47 +313,58 @@ def _notes(content: RecordedRun, sidecar: bool) -> list[str]:
     rows = {channel.kind for channel in content.channels.values()}
     section = definition.section(ArmSection)
     if taken := from_default_preset(section):
-        where = "no [arm] in the sidecar" if sidecar else "no sidecar"
+        where = "the sidecar has no [arm]" if sidecar else "there is no sidecar"
         about = () if section.contents() else (where,)
         notes.append(preset_sentence(taken, *about))
     if missing := missing_of_chain(section):
         notes.append(
-            f"[arm] of the preset chain has no {', '.join(missing)}, and a fit requires these "
-            f"values: state keys"
-            " in [arm] and joints.* in [arm.parameters] (0 is a valid value there)"
+            f"[arm] with the preset chain does not give {', '.join(missing)}, and a fit requires "
+            "these values: set keys in [arm] and joints.* in [arm.parameters] (0 is a valid value "
+            "there)"
         )
     unknown = [each.path for each in GEOMETRY if each.path not in (section.parameters or {})]
     if section.preset == "chain" and section.muscles and unknown:
-        notes.append(f"muscles assumed as in the arm of the paper: {', '.join(unknown)}")
+        notes.append(
+            f"the muscles are assumed to be as in the arm of the paper: {', '.join(unknown)}"
+        )
     own = set(section.joint_laws or ()) - {"hardening", "end_stops"}
     if rows & set(PRESSURES) and section.muscles is None and not own:
         notes.append(
-            "pressures are recorded, but no joint has muscles: state muscles in [arm], such as "
+            "pressures are recorded, but no joint has muscles: set muscles in [arm], such as "
             'muscles = "pitch"'
         )
     if rows & PIXELS and not definition.section(CamerasSection).named():
-        notes.append("pixels are recorded, but no camera is described: state it in [camera.NAME]")
+        notes.append(
+            "pixels are recorded, but no camera is described: describe it in [camera.NAME]"
+        )
     if not definition.section(InitialSection).contents():
-        notes.append("initial state not stated: the arm starts straight and at rest")
+        notes.append(
+            "the initial state is not specified: the arm is assumed to start straight and at rest"
+        )
     if (
         rows & set(COMMANDS)
         and "interpolation" not in definition.section(CommandSection).contents()
     ):
-        notes.append("command interpolation not stated: linear between samples")
+        notes.append(
+            "the interpolation of the commands is not specified: it is linear between samples"
+        )
     absent = [f"wind_{axis}" for axis in "xyz" if f"wind_{axis}" not in content.channels]
     if "wind" in rows:
-        notes += [f"{' and '.join(absent)} not recorded: assumed to be zero"] if absent else []
+        if absent:
+            verb = "are" if absent[1:] else "is"
+            notes.append(f"{' and '.join(absent)} {verb} not recorded: assumed to be zero")
     elif "link_wind" in rows:
         columns = sum(each.kind == "link_wind" for each in content.channels.values())
         links = links_of(section)
         if links is None or columns < 3 * links:
             notes.append(
-                "wind not recorded for all links and axes: assumed to be zero where missing"
+                "the wind is not recorded for all links and axes: it is assumed to be zero where "
+                "missing"
             )
     elif definition.section(WindSection).velocity_m_per_s is None and (
         definition.section(ArmSection).wind_field is None
     ):
-        notes.append("wind not stated: still air is assumed")
+        notes.append("the wind is not specified: still air is assumed")
     return notes
 
 

@@ -1,4 +1,4 @@
-"""The sections of an arm: constants, motion, obstacles, sensors and cameras."""
+"""Sections of an arm: constants, motion, obstacles, sensors and cameras."""
 
 import re
 from collections.abc import Mapping
@@ -56,7 +56,7 @@ _MOST_PIXELS = 1_000_000
 
 @with_keys(PINHOLE)
 class PinholeSection(Section):
-    """`[camera.NAME]`: a camera with a lens, which shows pixels."""
+    """`[camera.NAME]`: a camera with a lens, which records pixels."""
 
     mount: Annotated[str, Field(pattern=_PLACES.pattern)] | None = key(
         '"room", "tip" or a link such as "link06"',
@@ -88,13 +88,13 @@ class PinholeSection(Section):
 
     @property
     def link(self) -> int | None:
-        """The number of the link that it is fixed to, where it is one."""
+        """Number of the link that the camera is mounted on, or None."""
         return int(self.mount[4:]) if self.mount and self.mount.startswith("link") else None
 
 
 @with_keys(LANDMARK)
 class LandmarkSection(Section):
-    """`[landmark.markNN]`: a point of the room that cameras see."""
+    """`[landmark.markNN]`: a fixed point of the room that cameras record."""
 
 
 class _Named(Section):
@@ -104,7 +104,7 @@ class _Named(Section):
 
 
 class CamerasSection(_Named):
-    """`[camera]`: the cameras that show pixels, by name."""
+    """`[camera]`: the cameras that record pixels, by name."""
 
     entries: ClassVar[type[Section] | None] = PinholeSection
     __pydantic_extra__: dict[str, PinholeSection] = Field(init=False)
@@ -115,25 +115,23 @@ class CamerasSection(_Named):
         for name in self.named():
             if not re.fullmatch(CAMERA_NAME, name, re.ASCII) or name in taken:
                 raise ValueError(
-                    f"has a camera {name!r}, but a name must have letters, digits and _, begin "
-                    f"with a letter and not be one of"
-                    f" {', '.join(taken)}: rename it"
+                    f"has a camera {name!r}, but its name must consist of letters, digits and _, "
+                    f"begin with a letter and not be one of {', '.join(taken)}: rename it"
                 )
         return self
 
     def check_mounts(self, links: int | None) -> None:
-        """Raise `ValueError` if a camera is on a link beyond `links`, where that is known."""
+        """Raise `ValueError` if a camera is on a link beyond `links`; None skips the check."""
         for name, camera in self.named().items():
             if links is not None and (camera.link or 0) > links:
                 raise ValueError(
                     f"{name}.mount is link {camera.link}, but the arm has only {links} links: "
-                    f"correct "
-                    "the number, or state links in [arm]"
+                    "correct the number, or set links in [arm]"
                 )
 
 
 class LandmarksSection(_Named):
-    """`[landmark]`: points of the room that cameras see, by name: mark01, mark02, ..."""
+    """`[landmark]`: fixed points of the room that cameras record: mark01, mark02, ..."""
 
     entries: ClassVar[type[Section] | None] = LandmarkSection
     __pydantic_extra__: dict[str, LandmarkSection] = Field(init=False)
@@ -145,18 +143,17 @@ class LandmarksSection(_Named):
             if not number or name != f"mark{int(number[1]) or 1:02d}":
                 raise ValueError(
                     f"has a landmark {name!r}, but landmarks must be called mark01, mark02, and "
-                    f"so on: "
-                    "rename it"
+                    "so on: rename it"
                 )
             if "position_m" not in mark.contents():
-                raise ValueError(f"does not state the position of {name}: give {name}.position_m")
+                raise ValueError(f"does not give the position of {name}: add {name}.position_m")
         return self
 
 
 def sections_of_cameras(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of cameras and landmarks, as files have them, of values (SI) by path.
+    """Convert values (SI) by path to keys of cameras and landmarks, as in files.
 
-    It is section -> name -> key -> value: the inverse of the sections' `values`.
+    The result is section -> name -> key -> value. It is the inverse of `values` of the sections.
     """
     sections: dict[str, dict[str, Any]] = {}
     for group, of in ((PINHOLE, PinholeSection), (LANDMARK, LandmarkSection)):
@@ -173,7 +170,7 @@ def sections_of_cameras(values: Mapping[str, Any]) -> dict[str, Any]:
 
 @with_keys(INITIAL)
 class InitialSection(Section):
-    """`[initial]`: joint angles and rates at the first sample. By default: straight, at rest."""
+    """`[initial]`: joint angles and rates at the first sample. Default: straight and at rest."""
 
     first_row: bool | None = key(
         "true or false",
@@ -190,8 +187,8 @@ class InitialSection(Section):
     def _stated_once(self) -> "InitialSection":
         if self.first_row and self.values():
             raise ValueError(
-                "states first_row = true and angle_deg or rate_deg_per_s, but the state must be "
-                "stated only once: remove one of the two"
+                "sets first_row = true and angle_deg or rate_deg_per_s, but the state must be set "
+                "only once: remove one of the two"
             )
         return self
 
@@ -201,7 +198,7 @@ _BETWEEN_ROWS = '"linear" or "zoh" (held until the next sample)'
 
 
 class CommandSection(Section):
-    """`[command]`: how the joint commands run between two rows."""
+    """`[command]`: interpolation of the joint commands between two rows."""
 
     interpolation: Interpolation = key(
         _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
@@ -209,7 +206,7 @@ class CommandSection(Section):
 
 
 class WindSection(Section):
-    """`[wind]`: how the wind columns run between two rows, or a constant wind instead."""
+    """`[wind]`: interpolation of the wind columns between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
         _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
@@ -221,7 +218,7 @@ class WindSection(Section):
     )
 
 
-# Of `[arm.parameters]`, which states by their paths what has no key of its own.
+# Groups for `[arm.parameters]`, which sets by path the parameters without a key.
 _OF_ARMS = (LINKS, JOINTS, JOINT_MEMORY, JOINT_STOPS, BASE, AIR, BUOYANCY, POINT_MASSES)
 _OF_MUSCLES = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, EMPIRICAL, PISTON, DRIVE)
 _DECLARED = {
@@ -238,8 +235,8 @@ class PointMass(Section):
     )
     structural: bool | None = key(
         "true or false",
-        "true: the body is a part of the link itself, which link_inertia_kg_m2 replaces; giajax "
-        "writes this key",
+        "true: the body is a part of the link itself, and link_inertia_kg_m2 replaces such "
+        "bodies; giajax writes this key",
         preset=False,
     )
 
@@ -249,7 +246,7 @@ _TWO = Annotated[list[Positive], Field(min_length=2, max_length=2)]
 _THREE = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 _FOUR = Annotated[list[Positive], Field(min_length=4, max_length=4)]
 
-# The keys that each shape has beside its name and its centre; those that it needs come first.
+# Keys of each shape besides name and centre: those that are required, and those that are optional.
 SHAPES = {
     "box": (("size_m",), ("rotation_deg",)),
     "plane": (("normal",), ()),
@@ -258,7 +255,7 @@ SHAPES = {
 
 
 class Obstacle(Section):
-    """An entry of `[[arm.obstacles]]`: something rigid that links may touch."""
+    """An entry of `[[arm.obstacles]]`: a rigid body that links may touch."""
 
     shape: Literal["box", "plane", "wall"] = key(
         '"box", "plane" or "wall"',
@@ -305,7 +302,7 @@ class Obstacle(Section):
 
 @with_keys(SUPPLY, PORTS, GAS, SKIN)
 class FillingSection(Section):
-    """`[filling]`: gas, bags, the ports between them and the supply. `giajax fill` reads it."""
+    """`[filling]`: gas, bags, ports between them and supply. `giajax fill` reads it."""
 
     supply: Literal["flow", "regulator", "bottle"] | None = key(
         '"flow", "regulator" or "bottle"',
@@ -321,11 +318,12 @@ class FillingSection(Section):
 
 @with_keys(ROLL, FILM, HAND)
 class UnrollingSection(Section):
-    """`[unrolling]`: the roll, its film and what drives it. `giajax unroll` reads it."""
+    """`[unrolling]`: the roll, its film and its drive. `giajax unroll` reads it."""
 
     order: Literal["roll first", "by gas"] | None = key(
         '"roll first" or "by gas"',
-        "roll first: a hand unrolls the arm, then gas is injected; by gas: the gas unrolls it",
+        "roll first: a hand unrolls the arm before gas is injected; by gas: the gas unrolls the "
+        "arm",
         preset="roll first",
     )
     hand: Literal["speed", "force"] | None = key(
@@ -335,24 +333,22 @@ class UnrollingSection(Section):
     )
     carried: bool | None = key(
         "true or false",
-        "true: the roll is carried instead of lying on a floor, so that its weight does not drive "
-        "it",
+        "true: the roll is carried instead of lying on a floor, so its weight does not drive it",
         preset=False,
     )
 
 
-# Keys that say which muscles, where there are some.
+# Keys that apply only if joints have muscles.
 MUSCLE_KEYS = ("muscle_law", "muscle_correction", "muscle_blend_deg")
 
 
 @with_keys(LINKS)
 class _Links(Section):
-    """Which arm it is, and its links."""
+    """Keys for the preset and the links."""
 
     preset: Name | None = key(
         "the name of a preset",
-        'arm whose values the other keys change; "chain" has no values and is for an arm of your '
-        "own",
+        'arm whose values the other keys replace; "chain" has no values and is for your own arm',
         preset="takeichi_20m",
     )
     links: Annotated[int, Field(ge=1, le=MOST_LINKS)] | None = key(
@@ -364,7 +360,7 @@ class _Links(Section):
 
 @with_keys(JOINTS, BASE, AIR, BUOYANCY, CONTACT)
 class _Surroundings(_Links):
-    """Its joints, how it stands, and the air."""
+    """Keys for joints, base and air."""
 
     joint_axes: Literal["pitch_yaw"] | list[Literal["pitch", "yaw"] | Vector] | None = key(
         '"pitch_yaw" or a list of "pitch", "yaw" or [x, y, z], one for each joint',
@@ -374,7 +370,7 @@ class _Surroundings(_Links):
 
 
 def _known_law(role: str, *words: str) -> AfterValidator:
-    """What a file names by a word of giajax, or as a registered class of the role."""
+    """Return a validator for the name of a built-in law, or of a registered class of the role."""
 
     def known(word: str) -> str:
         if word not in words and registered(role, word) is None:
@@ -390,13 +386,14 @@ def _known_law(role: str, *words: str) -> AfterValidator:
 
 
 class ArmSection(_Surroundings):
-    """`[arm]`: the known constants of the arm. A number holds for all links."""
+    """`[arm]`: the known constants of the arm. A number applies to all links."""
 
     drag: (
         Annotated[Literal["centre", "strip"] | str, _known_law("drag", "centre", "strip")] | None
     ) = key(
         '"centre" or "strip"',
-        "drag from the velocity of each link's centre (eq. 1), or from the cross flow along it",
+        "drag from the velocity of the centre of each link (eq. 1), or from the cross flow along "
+        "the link",
         preset="centre",
     )
     strip_points: Annotated[int, Field(ge=1, le=20)] | None = key(
@@ -404,13 +401,13 @@ class ArmSection(_Surroundings):
     )
     drag_curve: Literal["constant", "cylinder"] | None = key(
         '"constant" or "cylinder"',
-        "C_D is constant, or follows the Reynolds number as for a cylinder",
+        "C_D is constant, or depends on the Reynolds number as for a cylinder",
         preset="constant",
     )
     added_mass: Literal["kirchhoff", "inertia"] | None = key(
         '"kirchhoff" or "inertia"',
-        "added mass with its terms in products of velocities (kirchhoff), or only as a part of "
-        "the mass matrix (inertia)",
+        "added mass with its velocity-product terms (kirchhoff), or only as a part of the mass "
+        "matrix (inertia)",
         preset="kirchhoff",
     )
     joint_laws: list[Annotated[str, _known_law("joint", "hardening", "end_stops")]] | None = key(
@@ -446,7 +443,7 @@ class ArmSection(_Surroundings):
     )
     muscles: Literal["pitch", "all"] | list[Annotated[int, Field(ge=1, le=MOST_LINKS)]] | None = (
         key(
-            '"pitch", "all" or a list of numbers of joints',
+            '"pitch", "all" or a list of joint numbers',
             "joints driven by pairs of muscles, which replace their springs",
             example="pitch",
         )
@@ -460,8 +457,9 @@ class ArmSection(_Surroundings):
         preset="continuous",
     )
     muscle_blend_deg: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)] | None = key(
-        "a number above 0, and up to 30",
-        "half-width about 0 in which alpha and beta are blended; a jump would stop a motion",
+        "a number above 0 and up to 30",
+        "half-width of the interval about 0 in which alpha and beta are blended, because a jump "
+        "would stop the motion",
         preset=1.0,
     )
     parameters: dict[Name, Finite | list[Finite]] | None = key(
@@ -473,7 +471,7 @@ class ArmSection(_Surroundings):
     @model_validator(mode="before")
     @classmethod
     def _earlier_names(cls, data: Any) -> Any:
-        """Files of earlier versions have other names of keys."""
+        """Replace former names of keys, which files of earlier versions contain."""
         if not isinstance(data, Mapping):
             return data
         keys = (part.key for several in cls.quantities.values() for part in several)
@@ -481,15 +479,15 @@ class ArmSection(_Surroundings):
         for before, name in now.items():
             if before in data and name in data:
                 raise ValueError(
-                    f"states {name} twice, because {before} is the former name of this "
-                    f"parameter: remove the former name"
+                    f"gives {name} twice, because {before} is the former name of this parameter: "
+                    "remove the former name"
                 )
         return {now.get(name, name): value for name, value in data.items()}
 
     @field_validator("parameters", mode="before")
     @classmethod
     def _unquoted_paths_are_paths(cls, table: Any) -> Any:
-        """And those of earlier versions are what they are called now."""
+        """Flatten nested tables to paths, and replace former paths by current ones."""
         if not isinstance(table, Mapping):
             return table
         table = flat(table)
@@ -497,7 +495,10 @@ class ArmSection(_Surroundings):
         paths = {part.earlier: part.path for part in parts if part.earlier}
         for before, path in paths.items():
             if before in table and path in table:
-                raise ValueError(f"states {path} twice, because {before} is its former name")
+                raise ValueError(
+                    f"gives {path} twice, because {before} is its former name: remove the former "
+                    "name"
+                )
         return {
             paths.get(name, name) + bracket + index: value
             for path, value in table.items()
@@ -507,7 +508,7 @@ class ArmSection(_Surroundings):
     @field_validator("parameters")
     @classmethod
     def _within_bounds(cls, table: dict[str, float | list[float]] | None) -> Any:
-        # Which parameters an arm has is known where it is built; what they may be is known here.
+        # Only bounds are checked here. Whether an arm has a parameter is checked when it is built.
         for path, value in (table or {}).items():
             declaration = _DECLARED.get(path.partition("[")[0])
             if declaration is None:
@@ -518,8 +519,7 @@ class ArmSection(_Surroundings):
                     unit = f" {declaration.unit}" if declaration.unit else ""
                     raise ValueError(
                         f"has {shown(path)} = {number:g}{unit}, but the value must be from "
-                        f"{lower:g} to "
-                        f"{upper:g}{unit}: correct or remove it"
+                        f"{lower:g} to {upper:g}{unit}: correct or remove it"
                     )
         return table
 
@@ -529,7 +529,7 @@ class ArmSection(_Surroundings):
         names = [obstacle.name for obstacle in obstacles or []]
         twice = next((name for name in names if names.count(name) > 1), None)
         if twice is not None:
-            raise ValueError(f"has two called '{twice}': give each its own name")
+            raise ValueError(f"has two obstacles called '{twice}': give each its own name")
         return obstacles
 
     @field_validator("joint_axes")
@@ -544,37 +544,37 @@ class ArmSection(_Surroundings):
         about = [name for name in MUSCLE_KEYS if getattr(self, name) is not None]
         if about and self.muscles is None:
             raise ValueError(
-                f"states {about[0]}, but no joint has muscles: add muscles, or remove this key"
+                f"sets {about[0]}, but no joint has muscles: add muscles, or remove this key"
             )
         return self
 
     @model_validator(mode="after")
     def _lists_agree(self) -> "ArmSection":
-        # An element, `links.mass[2]`, is another statement than that of the whole, and goes on top.
+        # An element such as `links.mass[2]` does not conflict, because it overrides the array.
         for name in self.contents():
             for declaration in self.quantities.get(name, ()):
                 if declaration.path in (self.parameters or {}):
                     raise ValueError(
-                        f"states {declaration.path} twice, by the key {name} and in "
+                        f"gives {declaration.path} twice, by the key {name} and in "
                         "[arm.parameters]: remove one"
                     )
-        # Without `links` the lists must still agree with each other; the run checks the rest.
+        # Without `links` the lists must still have equal lengths; the other checks need the run.
         self.check_lists(self.links)
         return self
 
     def lists(self) -> dict[str, list[Any]]:
-        """The lists that have one value for each link or joint, by key."""
+        """Return the lists with one value for each link or joint, by key."""
         lists = {"joint_axes": self.joint_axes, "link_inertia_kg_m2": self.link_inertia_kg_m2}
         own = {
             name: value
             for name, value in lists.items()
-            # Six numbers alone are the inertia of all links.
+            # Six numbers in one list are the inertia of all links.
             if isinstance(value, list) and not all(isinstance(x, int | float) for x in value)
         }
         return {**own, **each_of(self)}
 
     def check_lists(self, links: int | None) -> None:
-        """Raise `ValueError` if a list has another length than `links` (None: than another)."""
+        """Raise `ValueError` if the lengths of the lists differ from `links` or from each other."""
         count = f"links is {links}" if links is not None else ""
         for name, value in self.lists().items():
             if len(value) > MOST_LINKS:
@@ -587,8 +587,8 @@ class ArmSection(_Surroundings):
                 links, count = len(value), f"{name} has {len(value)}"
             elif len(value) != links:
                 raise ValueError(
-                    f"key {name} has {len(value)} values, but must have one for each link and "
-                    f"{count}: correct the list or give links"
+                    f"key {name} has {len(value)} values, but must have one for each link, and "
+                    f"{count}: correct the list or set links"
                 )
 
 
@@ -609,17 +609,17 @@ def _known_sensor(word: str) -> str:
 
 @with_keys(CAMERA, MARKER, ENCODER)
 class SensorsSection(Section):
-    """`[sensors]`: what is known of camera, markers and angle sensors. By default: exact."""
+    """`[sensors]`: errors of camera, markers and angle sensors, which are exact by default."""
 
     own: dict[Annotated[str, AfterValidator(_known_sensor)], _Numbers] | None = key(
         "a table of sensors by name, each with its parameters by name and their values in SI units",
-        "additional sensors; sensors of recorded columns have their defaults unless stated",
+        "additional sensors; sensors of recorded columns have their defaults unless set here",
         example={"gyroscope": {"offset_z": 0.01}},
         entry="a table of parameters by name and their values in SI units",
     )
 
     def values(self) -> dict[str, npt.NDArray[np.float64]]:
-        """The quantities that the file has, by path, in SI; those of other sensors, too."""
+        """Return the quantities in the file by path, in SI, including those of other sensors."""
         own = {
             f"sensor.{name}.{parameter}": np.asarray(value, dtype=float)
             for name, stated in (self.own or {}).items()
@@ -628,7 +628,7 @@ class SensorsSection(Section):
         return super().values() | own
 
     def check_lists(self, links: int | None) -> None:
-        """Raise `ValueError` if a list has another length than `links`, where that is known."""
+        """Raise `ValueError` if a list has a length other than `links`; None skips the check."""
         for name, value in each_of(self).items():
             if links is not None and len(value) != links:
                 raise ValueError(

@@ -1,4 +1,4 @@
-"""The declaration of a quantity, once: unit, bounds, prior and meaning, for models and files."""
+"""Declaration of a quantity for models and files: unit, bounds, prior and meaning."""
 
 import dataclasses
 import functools
@@ -19,8 +19,8 @@ from ..runtime.text import InputError, one_of, shown
 class Quantity:
     """A physical quantity of the column table.
 
-    `suffixes` maps what a column name ends in to its unit; the first one is what giajax writes
-    by default. A quantity without suffixes is a pure number or text.
+    `suffixes` maps the suffix of a column name to its unit. giajax writes the first one by default.
+    A quantity without suffixes is a pure number or text.
     """
 
     name: str
@@ -47,7 +47,7 @@ QUANTITIES: dict[str, Quantity] = {
     )
 }
 
-# `input` and `output` of a hysteresis run take any of these; each suffix belongs to one quantity.
+# `input` and `output` of a hysteresis run accept any of these, so each suffix has one quantity.
 QUANTITY_OF_SUFFIX: dict[str, str] = {
     suffix: quantity.name
     for quantity in QUANTITIES.values()
@@ -55,7 +55,7 @@ QUANTITY_OF_SUFFIX: dict[str, str] = {
     for suffix in quantity.suffixes
 }
 
-# The units of the table that are not SI, in the SI unit of their quantity.
+# Units of the table other than SI units, in the SI unit of their quantity.
 _IN_SI = {
     "ms": 1e-3,
     "deg": np.pi / 180,
@@ -68,13 +68,13 @@ _IN_SI = {
     "bar": 1e5,
 }
 
-# Units of keys that no column has, by their SI unit.
+# Units of keys that are not used by columns, by their SI unit.
 _OF_KEYS = {"m^3": {"l": 1e-3}, "m^3/s": {"l_per_min": 1e-3 / 60}}
 
 
 @functools.cache
 def si_factor(quantity: str, suffix: str) -> float:
-    """How many SI units one unit of `suffix` is: 0.01 for `cm`, pi/180 for `deg`.
+    """Return the number of SI units in one unit of `suffix`: 0.01 for `cm`, pi/180 for `deg`.
 
     Raises:
         InputError: the quantity has no such suffix.
@@ -90,14 +90,15 @@ def si_factor(quantity: str, suffix: str) -> float:
 
 
 def key_factor(key: str, si_unit: str) -> float:
-    """How many SI units one unit of a key's value is: 1 for `link_mass_kg`.
+    """Return the number of SI units in one unit of the value of a key: 1 for `link_mass_kg`.
 
     Arguments:
-        key: of a file; it ends in its unit, `_per_` standing for a stroke.
-        si_unit: of its quantity, as in `kg m^2`; "" for a pure number, whose key has no unit.
+        key: key in a file; it ends with its unit, in which `_per_` means a division.
+        si_unit: SI unit of its quantity, such as `kg m^2`; "" for a pure number, whose key has no
+            unit.
 
     Raises:
-        ValueError: the key does not end in a unit of the quantity.
+        ValueError: the key does not end with a unit of the quantity.
     """
     if not si_unit:
         return 1.0
@@ -109,23 +110,25 @@ def key_factor(key: str, si_unit: str) -> float:
     for suffix, factor in known.items():
         if key.endswith(f"_{suffix}"):
             return factor
-    raise ValueError(f"key {key} does not end in a unit of {si_unit}: end it in {one_of(known)}")
+    raise ValueError(
+        f"key {key} does not end in a unit of {si_unit}: end its name in {one_of(known)}"
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """What is known of a parameter before a fit: about where it is, and how surely.
+    """Prior knowledge of a parameter: a value and its uncertainty.
 
-    With a `deviation` the knowledge is normal, with a `factor` log-normal: the logarithm of the
-    parameter is normal, and its standard deviation is that of the factor.
+    With a `deviation` the prior is normal. With a `factor` it is log-normal: the logarithm of the
+    parameter is normal, and its standard deviation is the logarithm of the factor.
 
     Arguments:
-        value: the most probable value; of a log-normal prior the median. SI.
+        value: most probable value, or the median of a log-normal prior. SI.
         deviation: standard deviation, SI.
-        factor: the value is known to so much, one standard deviation up or down: 1.2 is 20 %.
+        factor: uncertainty as a factor, one standard deviation up or down: 1.2 is 20 %.
 
     Raises:
-        InputError: neither or both of the last two, or a number that they may not be.
+        InputError: neither or both of `deviation` and `factor` are given, or a number is not legal.
 
     Example:
         >>> import giajax
@@ -178,24 +181,24 @@ class Prior:
         return self.deviation
 
     def contents(self) -> dict[str, float]:
-        """What a file says of it."""
+        """Return the keys of the prior in a file."""
         known = dataclasses.asdict(self)
         return {name: value for name, value in known.items() if value is not None}
 
 
 @dataclasses.dataclass(frozen=True)
 class Key:
-    """How a file states a quantity.
+    """The key of a quantity in a file.
 
     Attributes:
-        name: of the key; it ends in its unit, which need not be the SI unit.
-        lower, upper: what a file may state, SI, where that is less than the model computes with.
-        closed: whether the value may be the bound itself, as an axial inertia may be zero.
-        example: a value, in the key's unit, that shows more than the default does.
-        remark: added to the sentence of what the value must be.
-        place: of the quantity in the list of numbers, where several share the key: x, then y.
-        meaning: of a key that several quantities share.
-        earlier: what the key was called before; files may have that name.
+        name: name of the key; it ends with its unit, which need not be the SI unit.
+        lower, upper: bounds in a file, SI, if they are narrower than those of the model.
+        closed: True if the value may equal a bound, as an axial inertia may be zero.
+        example: a value in the unit of the key that is a better example than the default.
+        remark: text that is added to the sentence on legal values.
+        place: index of the quantity in a list of numbers if several share the key, such as x and y.
+        meaning: meaning of a key that several quantities share.
+        earlier: former name of the key, which files may still contain.
     """
 
     name: str
@@ -212,32 +215,31 @@ class Key:
 
 @dataclasses.dataclass(frozen=True)
 class Declaration:
-    """What a parameter says of itself.
+    """The declaration of a parameter.
 
     Attributes:
-        default: the value of the preset `takeichi_20m` (each element, where it is an array), SI.
+        default: value in the preset `takeichi_20m` (of each element of an array), SI.
         unit: SI unit, in the spelling of the file formats; "" for a pure number.
-        doc: one line of meaning.
-        lower, upper: bounds, SI; a fit starts strictly between them, and may end on one.
-        frozen: held at its value in a fit unless it is asked for by its path.
-        assumed: the paper gives no number; this one is a guess that a fit should replace.
-        optional: may be None, which leaves out its part of the model and the cost of it; its
-            default is then the value that it is switched on with.
-        neutral: of an optional one, the value with which its part changes nothing: the model
-            then predicts what it does where the part is left out.
-        shape: of a parameter that is an array of fixed shape, such as a vector.
-        per: what an element of it belongs to: "link", "joint", "body"; "" where it belongs to
-            the whole model.
-        each: whether it may be one number for all links or joints, as well as an array with one
-            for each; without it, a parameter per link is always an array.
-        any_number: whether a model may have any number of its elements, with no count of its own.
-        has_states: of an optional one, whether its part adds states to the motion; suspects are
-            not asked for with those, and one of the model's `variants` has it.
-        essential: what the motion comes from: an estimate of 0 casts doubt on the model.
-        source: where the default is from, or the equation that the parameter stands in.
-        key: how files state it; None: by its path alone.
-        path: in a model, such as `links.mass`; "" for a parameter that is in no group.
-        earlier: what the path was before; files and `replace` may have that name.
+        doc: meaning, in one line.
+        lower, upper: bounds, SI; a fit starts strictly between them, and may end at one.
+        frozen: True if a fit holds the parameter unless its path is given.
+        assumed: True if the paper gives no number, so the default is a guess to be fitted.
+        optional: True if the parameter may be None, which leaves out its part of the model and the
+            computation of this part. The default is then the value when it is switched on.
+        neutral: value of an optional parameter at which its part has no effect: the model then
+            predicts the same as without the part.
+        shape: shape of a parameter that is an array of fixed shape, such as a vector.
+        per: part that an element belongs to: "link", "joint", "body"; "" for the whole model.
+        each: True if the parameter may be one number for all links or joints, or an array with one
+            number for each. Otherwise a parameter per link is always an array.
+        any_number: True if the number of elements is arbitrary.
+        has_states: True if the part of an optional parameter adds states to the motion. Such a
+            parameter is not tested as a suspect itself; one of the model's `variants` has it.
+        essential: True if the motion depends on it, so an estimate of 0 casts doubt on the model.
+        source: source of the default, or equation that contains the parameter.
+        key: key in files; None if files give the parameter by its path only.
+        path: path in a model, such as `links.mass`; "" for a parameter without a group.
+        earlier: former path, which files and `replace` may still use.
     """
 
     default: float
@@ -262,22 +264,22 @@ class Declaration:
     earlier: str = ""
 
     def keyed(self, name: str, **about: Any) -> "Declaration":
-        """The same with a key by which files state it, and what is said `about` a `Key`."""
+        """Return the declaration with a key for files; `about` contains attributes of `Key`."""
         return dataclasses.replace(self, key=Key(name, **about))
 
     @property
     def meaning(self) -> str:
-        """`doc`, and whether there may be several numbers."""
+        """The meaning (`doc`), with a remark if there may be several numbers."""
         several = f" (one number, or one for each {self.per})" if self.each and self.per else ""
         return self.doc + several
 
     @property
     def factor(self) -> float:
-        """How many SI units one unit of the key's value is; 1 without a key."""
+        """Return the number of SI units in one unit of the key; 1 without a key."""
         return 1.0 if self.key is None else key_factor(self.key.name, self.unit)
 
 
-# Most declarations are of one of these forms, and many have a number for each part of an arm.
+# Common forms of declarations. Many parameters have a number for each part of an arm.
 positive = functools.partial(Declaration, lower=0)
 guess = functools.partial(positive, assumed=True)
 freed = functools.partial(positive, frozen=False)
@@ -292,8 +294,8 @@ EACH_BODY: dict[str, Any] = {"per": "body", "each": True}
 class Group:
     """The quantities of one module of a model, as class attributes of a subclass.
 
-    The attributes of an instance know their paths, below that of the module (`at`: `links`, "" for
-    the model itself); iterating over it gives them in their order.
+    The attributes of an instance have paths that start with the path of the module (`at`: `links`,
+    or "" for the model itself). Iteration yields them in order.
     """
 
     def __init__(self, at: str) -> None:
@@ -306,7 +308,7 @@ class Group:
         return iter([getattr(self, name) for name in self._names])
 
 
-# What every section of the TOML vocabulary is made of, and its keys that declarations make.
+# Base of all sections of the TOML vocabulary, and the keys made from declarations.
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -315,9 +317,9 @@ Vector = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Name = Annotated[str, Field(min_length=1)]
 Count = Annotated[int, Field(ge=1, le=ELEMENTS)]
 
-# What values of keys must be.
+# Descriptions of the legal values of keys.
 COUNT = f"a whole number from 1 to {ELEMENTS}"
-POSITIVE, NOT_NEGATIVE = "a positive number", "a number that is not negative"
+POSITIVE, NOT_NEGATIVE = "a positive number", "zero or a positive number"
 
 
 def key(
@@ -329,15 +331,15 @@ def key(
     example: Any = None,
     entry: str = "",
 ) -> Any:
-    """Declare a key, once for errors and templates.
+    """Declare a key with its descriptions for errors and templates.
 
     Arguments:
-        must: what its value must be, for errors.
-        meaning: what it means, for the template of a sidecar.
-        preset: the value that a model takes where a file leaves it out, for the template.
-        default: the value of the field where a file leaves it out.
-        example: what the template shows where there is no preset.
-        entry: what an entry of a table must be, where that is not a number or a list of them.
+        must: description of the legal values, for error messages.
+        meaning: meaning of the key, for the template of a sidecar.
+        preset: value in a model if a file does not contain the key, for the template.
+        default: value of the field if a file does not contain the key.
+        example: value shown in the template if there is no preset.
+        entry: description of the entries of a table if they are not numbers or lists of them.
     """
     extra = {
         "must": must,
@@ -349,26 +351,26 @@ def key(
 
 
 class Section(BaseModel):
-    """A section whose keys are declared by `key` or `with_keys`, and that takes no others.
+    """A section whose keys are declared by `key` or `with_keys`; other keys are refused.
 
     Attributes:
-        quantities: the keys that are made from declarations, by name. Several declarations share
-            a key where they are a list in it, or where the model has one or the other.
-        entries: the section that every key holds, where the keys are names that a file chooses.
+        quantities: declarations by the key that is made from them. Several declarations share a key
+            if they form a list, or if only one of them belongs to a model.
+        entries: class of the sections in a table whose keys are names chosen in the file.
     """
 
     quantities: ClassVar[Mapping[str, tuple[Declaration, ...]]] = {}
     entries: ClassVar["type[Section] | None"] = None
 
-    # Strict: "0.3" and true are not numbers here. An int where a float is meant is one.
+    # Strict: "0.3" and true are not accepted as numbers. An int is accepted as a float.
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, frozen=True)
 
     def contents(self) -> dict[str, Any]:
-        """The keys that the file has, with their values."""
+        """Return the keys in the file with their values."""
         return self.model_dump(exclude_unset=True)
 
     def values(self) -> dict[str, npt.NDArray[np.float64]]:
-        """The quantities that the file has, by path, in SI."""
+        """Return the quantities in the file by path, in SI."""
         values = {}
         for name, value in self.contents().items():
             for part in self.quantities.get(name, ()) if value is not None else ():
@@ -381,12 +383,12 @@ class Section(BaseModel):
         return values
 
     def named(self) -> dict[str, Any]:
-        """The sections in it whose names a file chooses, by name."""
+        """Return the contained sections whose names are chosen in the file, by name."""
         return {} if self.entries is None else dict(self.__pydantic_extra__ or {})
 
     @classmethod
     def keys_of(cls, values: Mapping[str, npt.ArrayLike]) -> dict[str, Any]:
-        """The keys of values (SI, by path) as a file has them: the inverse of `values`."""
+        """Convert values (SI) by path to keys, as in a file: the inverse of `values`."""
         keys: dict[str, Any] = {}
         for name, parts in cls.quantities.items():
             numbers = [_in_file(part, values[part.path]) for part in parts if part.path in values]
@@ -397,9 +399,9 @@ class Section(BaseModel):
 
 
 def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
-    """A value (SI) in the unit of its key."""
+    """Convert a value from SI to the unit of its key."""
     numbers = np.asarray(value, dtype=float)
-    # What is an array always is one number in a file, where all of it is the same.
+    # In a file, an array that the model always has is one number if all elements are equal.
     always = declaration.per and not declaration.each and numbers.ndim
     if always and np.all(numbers == numbers[0]):
         numbers = numbers[0]
@@ -409,12 +411,12 @@ def _in_file(declaration: Declaration, value: npt.ArrayLike) -> Any:
 def flat(
     table: Mapping[str, Any], before: str = "", *, leaves: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Nested tables as one, its keys joined by points and begun with `before`.
+    """Flatten nested tables; their keys are joined by points and start with `before`.
 
-    A table with one of the keys `leaves` is a value, and stays a table.
+    A table that contains one of the keys `leaves` is a value, and stays a table.
 
     Raises:
-        ValueError: two keys are the same then.
+        ValueError: two keys become equal.
     """
     pairs: dict[str, Any] = {}
     for name, value in table.items():
@@ -422,13 +424,13 @@ def flat(
         nested = isinstance(value, Mapping) and not (set(value) & set(leaves))
         inner = flat(value, f"{path}.", leaves=leaves) if nested else {path: value}
         for twice in inner.keys() & pairs.keys():
-            raise ValueError(f"has {shown(twice)} twice, quoted and unquoted: remove one")
+            raise ValueError(f"gives {shown(twice)} twice, quoted and unquoted: remove one")
         pairs.update(inner)
     return pairs
 
 
 def each_of(section: Section) -> dict[str, list[Any]]:
-    """The lists of a section that have one value for each link or joint, by key."""
+    """Return the lists of a section with one value for each link or joint, by key."""
     return {
         name: value
         for name, value in section
@@ -442,14 +444,14 @@ _COUNTS = {2: "two", 3: "three", 5: "five"}
 
 
 def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], type[S]]:
-    """Class decorator: the section, with the keys of these groups after its own.
+    """Return a class decorator that adds the keys of these groups to a section.
 
-    A quantity without a key in files is left out; several that share a key are a list there.
+    A quantity without a key in files is left out. Several quantities that share a key form a list.
 
     Arguments:
-        groups: of quantities, in the order of their keys.
-        required: whether a section must have those that are not optional, as an entry of a list
-            does; the optional ones are 0 there.
+        groups: groups of quantities, in the order of their keys.
+        required: True to require the keys that are not optional, as in an entry of a list. The
+            optional ones are 0 by default.
     """
 
     def decorate(section: type[S]) -> type[S]:
@@ -458,7 +460,7 @@ def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], typ
             for declaration in group:
                 if declaration.key is not None:
                     others = sharing.get(declaration.key.name, ())
-                    # Laws that share a key have it in one place; the first one's default shows.
+                    # Laws may share a key in one place. The default of the first one is shown.
                     new = not others or declaration.path not in {d.path for d in others}
                     sharing[declaration.key.name] = (*others, declaration) if new else others
         fields: dict[str, Any] = {}
@@ -477,7 +479,7 @@ def with_keys(*groups: Group, required: bool = False) -> Callable[[type[S]], typ
 
 
 def _optional(parts: tuple[Declaration, ...]) -> tuple[Any, Any]:
-    """Type and field of a key that a file may leave out."""
+    """Return type and field of a key that is optional in a file."""
     declaration, about = parts[0], _key(parts[0])
     shared = about.place is not None
     default = [_shown(part) for part in parts] if shared else _shown(declaration)
@@ -504,13 +506,13 @@ def _key(declaration: Declaration) -> Key:
 
 
 def _shown(declaration: Declaration) -> Any:
-    """The default in the unit of the key, without the last digits of a conversion."""
+    """Return the default in the unit of the key, without rounding errors of the conversion."""
     value = float(f"{declaration.default / declaration.factor:.12g}")
     return [value] * declaration.shape[0] if declaration.shape else value
 
 
 def _range(declaration: Declaration) -> tuple[float, float]:
-    """What a file may state, in the unit of the key."""
+    """Return the range of legal values in a file, in the unit of the key."""
     about = _key(declaration)
     lower = declaration.lower if about.lower is None else about.lower
     upper = declaration.upper if about.upper is None else about.upper
@@ -526,7 +528,7 @@ def _number(declaration: Declaration) -> Any:
 
 
 def _sentence(declaration: Declaration) -> str:
-    """What a number must be."""
+    """Return the description of legal numbers."""
     (lower, upper), closed = _range(declaration), _key(declaration).closed
     if np.isfinite(lower) and np.isfinite(upper):
         between = ("from", "to") if closed else ("between", "and")

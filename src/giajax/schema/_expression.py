@@ -1,6 +1,6 @@
-"""Arithmetic over paths of parameters: `1.5 * joints.pitch_stiffness`.
+"""Arithmetic expressions of parameter paths: `1.5 * joints.pitch_stiffness`.
 
-Python's own parser reads the text; nothing of it is ever run as Python.
+The parser of Python reads the text, but the text is never executed as Python.
 """
 
 import ast
@@ -13,13 +13,13 @@ from typing import Any, Self
 
 from ..runtime.text import InputError, shown
 
-# What an expression may call; `Expression.value` is told what they are.
+# Functions that an expression may call; `Expression.value` receives their implementations.
 _FUNCTIONS = ("sqrt", "exp", "log")
 
 _LONGEST = 1_000
 _DEEPEST = 100
 
-# As everywhere in files and on the command line: `1_0` is no ten here.
+# Numbers as elsewhere in files and on the command line: `1_0` is not accepted.
 _DIGITS = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*(?![A-Za-z0-9_])"
@@ -27,9 +27,7 @@ _WORDS = re.compile(rf"(?:\s*(?:{_DIGITS}(?![A-Za-z0-9_.])|{_NAME}|[-+*/()\[\].]
 _SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
 
-_MADE_OF = (
-    f"numbers, paths of parameters, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
-)
+_MADE_OF = f"numbers, parameter paths, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
 
 # A number, ("path", name), or an operator or function with its operands.
 _Node = float | tuple[Any, ...]
@@ -37,12 +35,12 @@ _Node = float | tuple[Any, ...]
 
 @dataclasses.dataclass(frozen=True)
 class Expression:
-    """An expression over parameters; `Expression.parse` makes it.
+    """An expression of parameters, made by `Expression.parse`.
 
     Attributes:
-        text: as it was written.
-        paths: of the parameters in it, each once, in their order.
-        tree: what `value` computes.
+        text: the original text.
+        paths: paths of the parameters in it, each once, in order.
+        tree: syntax tree that `value` evaluates.
 
     Example:
         >>> twice = Expression.parse("2 * links.mass[0]")
@@ -58,10 +56,10 @@ class Expression:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """The expression that a text says.
+        """Parse a text as an expression.
 
         Raises:
-            InputError: it is not arithmetic, names no parameter, or is endless.
+            InputError: the text is not arithmetic, contains no parameter, or is too long.
         """
         text = text.strip()
         if len(text) > _LONGEST or not text.isascii() or not _WORDS.fullmatch(text):
@@ -79,16 +77,16 @@ class Expression:
         return cls(text, tuple(paths), tree)
 
     def value(self, of: Callable[[str], Any], functions: Mapping[str, Callable[[Any], Any]]) -> Any:
-        """What it comes to, of parameters' values (SI), with `sqrt`, `exp` and `log` of those."""
+        """Evaluate the expression for parameter values (SI), with these `sqrt`, `exp` and `log`."""
         return _value(self.tree, of, functions)
 
 
 def _wrong(text: str) -> InputError:
-    return InputError(f"the expression {shown(text)} must be made of {_MADE_OF}")
+    return InputError(f"the expression {shown(text)} must consist of {_MADE_OF}")
 
 
 def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node:
-    """A part of the parsed text; whatever is not arithmetic raises `ValueError`."""
+    """Convert a part of the parsed text; raise `ValueError` if it is not arithmetic."""
     if depth > _DEEPEST:
         raise ValueError
     if isinstance(node, ast.BinOp) and type(node.op) in _SIGNS:
@@ -112,7 +110,7 @@ def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node
 
 
 def _path(node: ast.AST, text: str) -> str:
-    """A path such as `links.mass[2]`."""
+    """Return a path such as `links.mass[2]`."""
     if isinstance(node, ast.Subscript):
         digits = ast.get_source_segment(text, node.slice) or ""
         if isinstance(node.value, ast.Subscript) or not re.fullmatch("[0-9]{1,9}", digits):

@@ -35,12 +35,12 @@ MUSCLE_LENGTH = 1.96
 
 
 def _pressure_limit(default: float, doc: str) -> Declaration:
-    """One key for all laws."""
+    """Declare the pressure limit of a law; all laws share its key."""
     return guess(default, "Pa", doc).keyed("pressure_limit_kPa")
 
 
 class _AtRest(Group):
-    length = guess(MUSCLE_LENGTH, "m", "length at rest").keyed("length_m")
+    length = guess(MUSCLE_LENGTH, "m", "length of the muscle at rest").keyed("length_m")
 
 
 class _Braided(Group):
@@ -48,15 +48,15 @@ class _Braided(Group):
     braid_angle = guess(
         float(np.deg2rad(18)),
         "rad",
-        "angle between braid and axis at rest (18 deg: thin muscles)",
+        "angle between braid and axis at rest (18 deg for thin muscles)",
         upper=float(np.arctan(np.sqrt(2))),
     ).keyed("braid_angle_deg")
     end_correction = freed_guess(
-        1.6, "", "k: contraction of the ideal law relative to that of the muscle"
+        1.6, "", "k: ratio of the contraction in the ideal law to the contraction of the muscle"
     )
-    effectiveness = freed_guess(1.0, "", "eta: force relative to that of the ideal law")
+    effectiveness = freed_guess(1.0, "", "eta: ratio of the force to the force of the ideal law")
     dead_band = freed_guess(10e3, "Pa", "p_0: pressure below which the muscle exerts no force")
-    pressure_limit = _pressure_limit(300e3, "highest pressure (thin muscles: 0.3 MPa)")
+    pressure_limit = _pressure_limit(300e3, "maximum pressure (0.3 MPa for thin muscles)")
 
 
 class _Empirical(Group):
@@ -78,7 +78,7 @@ class _Piston(Group):
     offset = Declaration(
         0.0, "N", "force at zero pressure: the offset of the load cell", frozen=False
     )
-    pressure_limit = _pressure_limit(1e6, "highest pressure")
+    pressure_limit = _pressure_limit(1e6, "maximum pressure")
 
 
 class _Friction(Group):
@@ -97,13 +97,13 @@ PISTON = _Piston("muscle")
 FRICTION = _Friction("friction")
 
 
-# A joint with muscles: geometry, torque, the corrections alpha and beta, and what drives it.
+# A joint with muscles: geometry, torque, the corrections alpha and beta, and its drive.
 
 _PER_SQUARE_DEGREE = float(np.rad2deg(1.0) ** 2)  # N m/deg^2 in N m/rad^2
 
 
 def _along(key: str, default: float, doc: str, lower: float) -> Declaration:
-    """The coordinate along the link of a point; `_off` is the other one."""
+    """Declare the coordinate of a point along its link; `_off` declares the other one."""
     return _coordinate(key, default, doc, 0, "coordinate along the link", lower)
 
 
@@ -150,7 +150,7 @@ class _Load(Group):
 
 
 class _Alpha(Group):
-    offset = Declaration(0.03, "N m", "value of alpha up to its threshold", frozen=False)
+    offset = Declaration(0.03, "N m", "value of alpha at angles up to its threshold", frozen=False)
     threshold = freed(
         float(np.deg2rad(40)),
         "rad",
@@ -201,12 +201,12 @@ class _Drive(Group):
     passive_stiffness = positive(
         0.1,
         "N m/rad",
-        "stiffness of a joint about its straight pose, in addition to that of its muscles",
+        "stiffness of a joint about its straight pose, in addition to the stiffness of its muscles",
         upper=1e3,
         optional=True,
     )
     stop_stiffness = guess(
-        10.0, "N m/rad", "stiffness of a joint with muscles beyond 60 deg", upper=1e4
+        10.0, "N m/rad", "stiffness of a joint with muscles at angles beyond 60 deg", upper=1e4
     )
 
 
@@ -233,9 +233,11 @@ class _PrandtlIshlinskii(Group):
 
 class _DeadZones(Group):
     slope = freed(1.0, "output/input", "slope between the dead zones")
-    upper_thresholds = positive(1.0, "input", "dead zones above 0")
+    upper_thresholds = positive(1.0, "input", "thresholds of the dead zones above 0")
     upper_slopes = freed(1.0, "output/input", "slope beyond each dead zone above 0")
-    lower_thresholds = positive(1.0, "input", "dead zones below 0, as distances from 0")
+    lower_thresholds = positive(
+        1.0, "input", "thresholds of the dead zones below 0, as distances from 0"
+    )
     lower_slopes = freed(1.0, "output/input", "slope beyond each dead zone below 0")
 
 
@@ -259,13 +261,17 @@ class _Preisach(Group):
         frozen=False,
     )
     bias = Declaration(0.0, "input", "mean of the centres of the relays")
-    interaction = freed(0.3, "input", "standard deviation of the centres")
+    interaction = freed(0.3, "input", "standard deviation of the centres of the relays")
 
 
 class _BoucWen(Group):
     elastic = freed(0.5, "output/input", "weight of the input in the output")
     alpha = freed(0.5, "output/input", "slope of the hysteretic part at 0")
-    beta = positive(1.0, "1/input", "scale of gamma and delta; only the products matter")
+    beta = positive(
+        1.0,
+        "1/input",
+        "scale of gamma and delta; only the products beta gamma and beta delta are identifiable",
+    )
     gamma = freed(1.0, "", "width of the loop")
     delta = Declaration(0.1, "", "shape of the loop", frozen=False)
     nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
@@ -280,7 +286,11 @@ class _BoucWenOscillator(Group):
     damping = freed(10.0, "N s/m", "viscous damping")
     stiffness = freed(5e4, "N/m", "stiffness parallel to the hysteretic element")
     alpha = freed(5e4, "N/m", "initial stiffness of the hysteretic element")
-    beta = positive(1e3, "1/m", "scale of gamma and delta; only the products matter")
+    beta = positive(
+        1e3,
+        "1/m",
+        "scale of gamma and delta; only the products beta gamma and beta delta are identifiable",
+    )
     gamma = freed(0.8, "", "width of the loop")
     delta = Declaration(-1.1, "", "shape of the loop", frozen=False)
     nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
@@ -294,7 +304,7 @@ class _Loop(Group):
         "the last sample",
     )
     previous_extremes = Declaration(
-        0.0, "input", "turning points of the input before the run, in order of time"
+        0.0, "input", "turning points of the input before the run, in chronological order"
     )
 
 
@@ -316,18 +326,19 @@ class JointSection(Section):
 
     correction: Literal["continuous", "printed", "none"] | None = key(
         '"continuous", "printed" or "none"',
-        "alpha and beta as functions of the absolute angle, as printed (an erratum), or zero",
+        "alpha and beta as functions of the absolute angle (continuous), as printed in the paper "
+        "with its erratum (printed), or zero (none)",
         preset="continuous",
     )
     blend_deg: Annotated[float, Field(ge=0, le=30, allow_inf_nan=False)] | None = key(
         "a number from 0 to 30",
-        "half-width about 0 in which alpha and beta are blended",
+        "half-width of the interval about 0 in which alpha and beta are blended",
         preset=0.0,
     )
 
 
 def _varying(*names: str) -> Callable[[RecordedRun], str | None]:
-    """The first of these inputs that is recorded and varies."""
+    """Return a function that returns the first of these inputs that is recorded and varies."""
 
     def drawn_over(content: RecordedRun) -> str | None:
         recorded = [name for name in names if name in content.values]
@@ -349,7 +360,7 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
     if wrong.size:
         row = wrong[0]
         raise InputError(
-            f"{naming.source}: in {naming.at(row)} the muscle is the {side[row]} at "
+            f"{naming.source}: in {naming.at(row)} the side is {side[row]} and the angle is "
             f"{np.rad2deg(angle[row]):.4g} deg, but the angle must be positive where the joint "
             "bends towards the muscle (inner): correct the side or the sign"
         )
@@ -365,10 +376,10 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
 def _joint_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
     if not section.contents():
-        notes.append("no [joint] in the sidecar: the default geometry of giajax is used")
+        notes.append("the sidecar has no [joint]: the default giajax geometry is used")
     if "torque" not in content.channels:
         torque = float(section.values().get(LOAD.torque.path, LOAD.torque.default))
-        notes.append(f"torque not recorded: {torque:g} N m is assumed")
+        notes.append(f"the torque is not recorded: {torque:g} N m is assumed")
     return notes
 
 
@@ -393,33 +404,36 @@ JOINT = Kind(
 
 @with_keys(AT_REST, BRAIDED, EMPIRICAL, PISTON)
 class _Law(Section):
-    """Which law, and what it knows."""
+    """The force law and its parameters."""
 
     law: Literal["braided", "empirical", "piston"] | None = key(
         '"braided", "empirical" or "piston"',
-        "force law: that of a braid, a normalised curve for any length, or that of a cylinder",
+        "force law: a braided muscle (braided), a normalised curve for any length (empirical), or "
+        "a pneumatic cylinder (piston)",
         preset="braided",
     )
 
 
 @with_keys(FRICTION)
 class MuscleSection(_Law):
-    """`[muscle]`: which law, what is known of the muscle, and whether it has friction."""
+    """`[muscle]`: the force law, the parameters of the muscle, and its friction."""
 
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
-        "pressure at each sample, or its mean, if the pressure was held and friction disturbs the "
-        "gauge",
+        "pressure at each sample (measured), or its mean, if the pressure was held constant and "
+        "friction disturbs the gauge (mean)",
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
         '"coulomb" or "none"',
-        "friction between filling and exhausting; requires the phase or the time",
+        "friction, which differs in sign between filling and exhausting; requires the phase or "
+        "the time",
         preset="none",
     )
     friction_pressures_kPa: Annotated[list[NotNegative], Field(min_length=1)] | None = key(  # noqa: N815
         "a list of increasing numbers",
-        "pressures at which the half-widths of friction are given, linear in between",
+        "pressures at which the half-widths of friction are given; the half-width is linear in "
+        "between",
         preset=[0.0],
     )
 
@@ -444,25 +458,24 @@ def _check_muscle(content: RecordedRun, naming: Naming) -> None:
     if section.law != "piston" and not moves:
         raise InputError(
             f"{naming.source} has neither contraction nor position: a muscle's force depends on "
-            f"its contraction"
-            ", so add a column such as contraction"
+            "its contraction, so add a column such as contraction"
         )
     friction = section.friction or ("coulomb" if section.law == "piston" else "none")
     directed = "phase" in channels or (moves and content.times is not None)
     if friction == "coulomb" and not directed:
         raise InputError(
-            f"{naming.source}: friction needs the direction of motion, from a phase column, or "
-            'from time and position: add them, or state friction = "none" in [muscle]'
+            f"{naming.source}: friction requires the direction of motion, from a phase column, or "
+            'from time and position: add these columns, or set friction = "none" in [muscle]'
         )
 
 
 def _muscle_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(MuscleSection), []
     if section.law is None:
-        notes.append("law not stated in [muscle]: a braided muscle is assumed")
+        notes.append("[muscle] specifies no law: a braided muscle is assumed")
     without = None if section.law == "piston" else "none"
     if "phase" in content.channels and (section.friction or without) == "none":
-        notes.append("the phase is recorded, but not used, because [muscle] states no friction")
+        notes.append("the phase is recorded, but not used, because [muscle] specifies no friction")
     return notes
 
 
@@ -492,7 +505,7 @@ _EITHER = f"{COUNT}, or a list of positive numbers"
 
 
 class HysteresisSection(Section):
-    """`[hysteresis]`: the operator and its options, parameters apart. Values in SI units."""
+    """`[hysteresis]`: the operator and its options, without its parameters. Values in SI units."""
 
     operator: (
         Literal["prandtl_ishlinskii", "modified_prandtl_ishlinskii", "preisach", "bouc_wen"] | None
@@ -506,18 +519,20 @@ class HysteresisSection(Section):
     )
     thresholds: CountOrPositive | None = key(
         _EITHER,
-        "thresholds of the elements (SI), or their number, spaced evenly up to half of the input "
-        "range",
+        "thresholds of the elements (SI), or their number: they are then spaced evenly up to half "
+        "of the input range",
         preset=10,
     )
     upper_dead_zones: CountOrPositive | None = key(
         _EITHER,
-        "dead zones of the modified form above 0 (SI), or their number, densest near 0",
+        "thresholds of the dead zones of the modified form above 0 (SI), or their number: they "
+        "are then densest near 0",
         preset=5,
     )
     lower_dead_zones: CountOrPositive | None = key(
         _EITHER,
-        "dead zones of the modified form below 0 (SI), as distances from 0, or their number",
+        "thresholds of the dead zones of the modified form below 0 (SI), as distances from 0, or "
+        "their number",
         preset=5,
     )
     rows: Annotated[int, Field(ge=2, le=ELEMENTS)] | None = key(
@@ -525,13 +540,13 @@ class HysteresisSection(Section):
     )
     input_range: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = key(
         "a list of two numbers, the lower one first",
-        "input range (SI) that the operator covers (default: that of the runs)",
+        "input range (SI) that the operator covers (default: the range of the runs)",
         preset=[-1.0, 1.0],
     )
     previous_extremes: Count | Annotated[list[Finite], Field(min_length=1)] | None = key(
         f"{COUNT}, or a list of numbers",
-        "turning points of the input before the run (SI), or the number of them that a fit may "
-        "estimate",
+        "turning points of the input before the run (SI), or the number of turning points that a "
+        "fit may estimate",
         preset=1,
     )
 
@@ -543,7 +558,7 @@ class HysteresisSection(Section):
         return ends
 
 
-# Of the operator and of the oscillator, whose runs have the same columns.
+# Columns that runs of the hysteresis operator and of the oscillator share.
 CHANNELS = (
     ChannelKind("input", "input", None, "input"),
     ChannelKind("output", "output", None, "output"),
@@ -553,7 +568,7 @@ CHANNELS = (
 
 
 def _hysteresis_drawn_over(content: RecordedRun) -> str | None:
-    """The input, where it varies: it makes loops."""
+    """Return the input if it varies, because loops are drawn over it."""
     names = [c.name for c in content.channels.values() if c.kind in HYSTERESIS.inputs]
     return next((name for name in names if np.ptp(content.values[name]) > 0), None)
 
@@ -562,8 +577,8 @@ def _hysteresis_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     if content.definition.section(HysteresisSection).operator is not None:
         return []
     return [
-        "operator not stated in [hysteresis]: a Prandtl-Ishlinskii operator with ten elements "
-        "is assumed"
+        "[hysteresis] specifies no operator: a Prandtl-Ishlinskii operator with ten elements is "
+        "assumed"
     ]
 
 
@@ -581,7 +596,7 @@ HYSTERESIS = Kind(
 
 
 class OscillatorSection(Section):
-    """`[oscillator]`: the options of an oscillator, parameters apart."""
+    """`[oscillator]`: the options of an oscillator, without its parameters."""
 
     interpolation: Literal["linear", "band_limited"] | None = key(
         '"linear" or "band_limited" (one period of evenly sampled rows)',
@@ -591,10 +606,10 @@ class OscillatorSection(Section):
 
 
 def _upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Version 0.1 had the oscillator as an operator of `[hysteresis]`."""
+    """Convert a definition of version 0.1, which has the oscillator in `[hysteresis]`."""
     before = data.get("hysteresis")
     if not isinstance(before, dict) or before.get("operator") != "bouc_wen_oscillator":
-        # A fit definition of that version names only the model, beside such a sidecar.
+        # A fit definition of that version gives only the model next to such a sidecar.
         renamed = data.get("model") == "hysteresis" and "oscillator" in data and not before
         return {**data, "model": "oscillator"} if renamed else data
     section = {name: value for name, value in before.items() if name == "interpolation"}
@@ -606,7 +621,7 @@ OSCILLATOR = Kind(
     name="oscillator",
     model="_oscillator:OscillatorModel",
     channels=CHANNELS,
-    # Its columns are those of a hysteresis run: a sidecar must say which it is.
+    # Its columns are those of a hysteresis run, so a sidecar must give the model.
     recognises=lambda rows: False,
     measured="output or angle_deg",
     sections={"oscillator": OscillatorSection},

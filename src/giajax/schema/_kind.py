@@ -1,4 +1,4 @@
-"""What a kind of model declares of itself, without JAX, and which kinds there are: `KINDS`."""
+"""Declarations of the kinds of models, without JAX, and the list of all kinds: `KINDS`."""
 
 import functools
 import re
@@ -17,7 +17,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class RecordedChannel(Protocol):
-    """What a kind asks of a channel of a run; see `giajax.recordings.Channel`."""
+    """The attributes of a channel that kinds use; see `giajax.recordings.Channel`."""
 
     @property
     def name(self) -> str: ...
@@ -34,17 +34,17 @@ class RecordedChannel(Protocol):
 
 
 class Sections(Protocol):
-    """What a kind asks of a definition; see `giajax.recordings.Definition`."""
+    """The attributes of a definition that kinds use; see `giajax.recordings.Definition`."""
 
     @property
     def free_motion(self) -> bool | None: ...
 
     def section(self, of: type[S]) -> S:
-        """The section of a class, with its defaults where it is not in the file."""
+        """Return the section of a class, with its defaults if it is not in the file."""
 
 
 class RecordedRun(Protocol):
-    """What a kind asks of a run; see `giajax.recordings.Run`."""
+    """The attributes of a run that kinds use; see `giajax.recordings.Run`."""
 
     @property
     def times(self) -> npt.NDArray[np.float64] | None: ...
@@ -57,20 +57,20 @@ class RecordedRun(Protocol):
 
 
 class Naming(Protocol):
-    """How errors name the parts of a run: `row 5` and columns of a file, samples of arrays."""
+    """How error messages name rows and columns: `row 5` of a file, `sample 5` of arrays."""
 
     @property
     def source(self) -> str: ...
 
     def at(self, index: Any) -> str:
-        """The row of the sample with this index."""
+        """Return the name of the row of the sample with this index."""
 
     def of(self, channel: RecordedChannel) -> str:
-        """The name of the channel in the person's file or arrays."""
+        """Return the name of the channel in the user's file or arrays."""
 
 
 NOISE_KEYS = ("position_m", "angle_deg", "rate_deg_per_s", "pixel_px", "acceleration_m_per_s2")
-"""Keys of `[noise]` that hold for all columns of some rows."""
+"""Keys of `[noise]` that apply to all columns of some rows of the column table."""
 
 Part = Literal["input", "surroundings", "output"]
 
@@ -83,15 +83,15 @@ class ChannelKind:
     """A row of the column table.
 
     Attributes:
-        name: of the row, such as `link_position`.
-        column: a channel of the row without its unit, as documentation writes it: `linkNN_x`. NN
-            stands for the number of a joint, link or landmark, x at the end for x, y or z, u at
-            the end for u or v. Of u and v the name of a camera may go before: `side.linkNN_u`.
-        quantity: of its values, as in `runs`' table of quantities; None: any.
-        part: what it is to the model: an input, something of the surroundings that acts on it
-            as well, or an output, which is what it predicts.
-        texts: the values of a channel that holds text.
-        noise: key of `[noise]` that holds for it, beside its own column.
+        name: name of the row, such as `link_position`.
+        column: a channel of the row without its unit, as written in documentation: `linkNN_x`. NN
+            stands for the number of a joint, link or landmark, x at the end for x, y or z, and u at
+            the end for u or v. The name of a camera may precede u and v: `side.linkNN_u`.
+        quantity: quantity of the values, from the table `QUANTITIES`; None for any quantity.
+        part: role in the model: an input, a part of the surroundings that also acts on the model,
+            or an output, which the model predicts.
+        texts: legal values of a channel that contains text.
+        noise: key of `[noise]` that applies to the row, besides the names of its columns.
     """
 
     name: str
@@ -103,8 +103,10 @@ class ChannelKind:
 
     @property
     def pattern(self) -> str:
-        """Regular expression of the channels of this row, with groups `index`, `component` and
-        `camera`."""
+        """Regular expression of the channels of this row.
+
+        Its groups are `index`, `component` and `camera`.
+        """
         numbered = self.column.replace("NN", "(?P<index>[0-9]+)")
         if numbered.endswith("_u"):
             return rf"(?:(?P<camera>{CAMERA_NAME})\.)?{numbered[:-1]}(?P<component>[uv])"
@@ -112,15 +114,15 @@ class ChannelKind:
 
     @functools.cached_property
     def components(self) -> str:
-        """What the last letter of a channel may be: one for each component; empty without any."""
+        """Possible last letters of a channel, one for each component; empty without components."""
         return {"_x": "xyz", "_u": "uv"}.get(self.column[-2:], "")
 
 
 class SectionTemplate(NamedTuple):
     """A section in the template of a sidecar, with a comment after its name.
 
-    The name is empty for keys before the first section; a key whose value is None is a comment with
-    an example.
+    The name is empty for keys before the first section. A key whose value is None becomes a comment
+    with an example.
     """
 
     section: str
@@ -130,31 +132,32 @@ class SectionTemplate(NamedTuple):
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of model: what its runs hold, what its files say, where the model is.
+    """A kind of model: the contents of its runs and files, and the class of the model.
 
     Attributes:
         name: the `model = "..."` of a sidecar.
-        model: module in `giajax.models` and class, as `_arm:ArmModel`; imported when a model is
-            built, because that needs JAX. Empty: a registered class has the name.
+        model: module in `giajax.models` and class, such as `_arm:ArmModel`. It is imported when a
+            model is built, because it imports JAX. Empty if a registered class has the name.
         channels: rows of the column table, in the order of a written file.
-        recognises: whether a run with these rows is of this kind, where no sidecar says which
-            it is.
+        recognises: function that returns whether a run with these rows is of this kind, for runs
+            without a sidecar that gives it.
         measured: columns to fit, as an example in messages.
-        sections: of a definition, that describe the model -> their classes.
-        run_sections: of a definition, that describe one run.
+        sections: names of the sections of a definition that describe the model -> their classes.
+        run_sections: the same for sections that describe one run.
         commands: rows of the table that count as a command in a description of a run.
-        uncommanded: what a description says of a run without a command; empty: nothing.
-        timed: whether every run has times.
-        interpolation: how the commands of a run go between two rows: "linear", "zoh" (held) or
-            "band_limited".
-        drawn_over: the input over which measured channels of a run are drawn; None: over time.
-        check: raises `InputError` for what no model of this kind could use in a run.
-        notes: sentences on what is assumed in a run, because its file does not say it. The
-            second argument is whether there is a sidecar.
-        template: sections to offer for a run with these channels.
-        template_heading: the second line of a template.
+        uncommanded: text for a description of a run without a command, or empty.
+        timed: True if every run has times.
+        interpolation: function that returns the interpolation of the commands of a run between
+            two rows: "linear", "zoh" (held) or "band_limited".
+        drawn_over: function that returns the input over which measured channels of a run are
+            plotted, or None for time.
+        check: function that raises `InputError` if a run is unusable for all models of this kind.
+        notes: function that returns sentences on assumptions that replace missing information
+            about a run. Its second argument is True if there is a sidecar.
+        template: function that returns the sections to offer for a run with these channels.
+        template_heading: second line of a template.
         former_parameters: paths in results of older versions that no longer exist.
-        upgraded: a definition of an older version as one of this version.
+        upgraded: function that converts a definition of an older version to this version.
     """
 
     name: str
@@ -178,56 +181,59 @@ class Kind:
 
     @property
     def all_sections(self) -> dict[str, type[Section]]:
-        """Sections that describe the model, and then those that describe one run."""
+        """Sections that describe the model, followed by those that describe one run."""
         return {**self.sections, **self.run_sections}
 
     def rows(self, *parts: str) -> tuple[str, ...]:
-        """Names of the rows of the column table that play one of these parts."""
+        """Return the names of the rows of the column table with one of these roles."""
         return tuple(row.name for row in self.channels if row.part in parts)
 
     @functools.cached_property
     def inputs(self) -> tuple[str, ...]:
-        """Rows of what the model is driven by, apart from its surroundings."""
+        """Rows of the inputs that drive the model, without its surroundings."""
         return self.rows("input")
 
     @functools.cached_property
     def outputs(self) -> tuple[str, ...]:
-        """Rows of what the model predicts, and a run measures."""
+        """Rows that the model predicts and a run measures."""
         return self.rows("output")
 
     def offers(self, channels: Sequence[RecordedChannel]) -> list[SectionTemplate]:
-        """The sections that a template offers: each of the model with all of its keys, unless
-        the kind chooses them by the channels of the run."""
+        """Return the sections that a template offers.
+
+        They are all sections of the model with all keys, unless the kind selects them by the
+        channels of the run.
+        """
         if self.template is not None:
             return self.template(channels)
         return [
             SectionTemplate(
                 name,
                 dict.fromkeys(section.model_fields),
-                "defaults apply to keys that are not stated",
+                "defaults apply to keys that are not set",
             )
             for name, section in self.sections.items()
         ]
 
 
 KINDS: dict[str, Kind] = {}
-"""The kinds by name; nothing else in the toolkit knows which there are."""
+"""Kinds by name. This is the only list of kinds in giajax."""
 
 _CACHED: list[Any] = []
 
 
 def cached_by_kinds(function: Function) -> Function:
-    """A function of what the kinds declare, which keeps its results until there is another."""
+    """Cache a function of the declarations of kinds until another kind is added."""
     cached: Any = functools.cache(function)
     _CACHED.append(cached)
     return cast(Function, cached)
 
 
 def add_kind(kind: Kind) -> None:
-    """Add a kind to `KINDS`, or put it in the place of the one of its name.
+    """Add a kind to `KINDS`, or replace the kind with its name.
 
     Raises:
-        InputError: a row contradicts one of another kind, or is of no quantity.
+        InputError: a row contradicts a row of another kind, or has no known quantity.
     """
     rows = [row for other in KINDS.values() if other.name != kind.name for row in other.channels]
     for row in kind.channels:
@@ -239,10 +245,10 @@ def add_kind(kind: Kind) -> None:
 
 
 def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
-    """Refuse a row that no column could be of, or of which others say something else.
+    """Refuse a row that cannot have columns, or that contradicts another row.
 
     Raises:
-        InputError: naming the row.
+        InputError: the row is refused; the message names it.
     """
     what = f"the channel {row.column}"
     if row.quantity not in {None, *QUANTITIES}:
@@ -258,9 +264,9 @@ def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
             f"{what} of the row '{row.name}' must not be time, which every model has: rename it"
         )
     if row.part not in (parts := get_args(Part)):
-        raise InputError(f"{what} has no part {row.part!r} in a model: use {one_of(parts)}")
+        raise InputError(f"{what} has the unknown part {row.part!r}: use {one_of(parts)}")
     if row.quantity == "text" and not row.texts:
-        raise InputError(f"{what} is a text channel without values: state them as strings")
+        raise InputError(f"{what} is a text channel without values: give them as strings")
     units = QUANTITIES[row.quantity].suffixes if row.quantity else ()
     keys = [each for each in NOISE_KEYS if not units or each.partition("_")[2] in units]
     if row.noise not in (None, *keys):
@@ -271,7 +277,7 @@ def _check_row(row: ChannelKind, others: Iterable[ChannelKind]) -> None:
         theirs = other.name, other.column, other.quantity, other.texts
         if ours != theirs and (row.name == other.name or row.column == other.column):
             raise InputError(
-                f"there already is a channel {other.column}, the {other.quantity} '{other.name}': "
-                f"declare {row.column}, the {row.quantity} '{row.name}', as that, or name it "
-                "otherwise"
+                f"a channel {other.column} already exists, the {other.quantity} '{other.name}': "
+                f"declare {row.column}, the {row.quantity} '{row.name}', in the same way, or "
+                "rename it"
             )

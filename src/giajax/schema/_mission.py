@@ -1,4 +1,4 @@
-"""The sections of files for operators: a mission, and what a game pad does."""
+"""Sections of files for operators: missions, and the assignment of a game pad."""
 
 from typing import Annotated
 
@@ -24,8 +24,10 @@ _JOINTS = Annotated[list[Count], Field(min_length=1, max_length=ELEMENTS)]
 class ApproachSection(Section):
     """`[mission.operator.approach]`: commanded angles from which the opening is in view."""
 
-    joints: _JOINTS = key("a list of numbers of joints", "joints that bend", default=...)
-    angles_deg: list[Finite] = key("a list of numbers", "angles to which they bend", default=...)
+    joints: _JOINTS = key("a list of joint numbers", "joints that bend", default=...)
+    angles_deg: list[Finite] = key(
+        "a list of numbers", "angles to which these joints bend", default=...
+    )
 
     @model_validator(mode="after")
     def _as_many(self) -> "ApproachSection":
@@ -38,15 +40,19 @@ class ApproachSection(Section):
 
 
 class OperatorSection(Section):
-    """`[mission.operator]`: who drives the arm through the opening."""
+    """`[mission.operator]`: the operator who drives the arm through the opening."""
 
     approach: ApproachSection = key(
         "a table of keys", "pose that the joints take first", default=...
     )
     approach_rate_deg_per_s: Positive = key(
-        POSITIVE, "rate, on the way to the approach, of the joint that turns the most", default=1.0
+        POSITIVE,
+        "rate of the joint with the largest rotation, during the motion to the approach pose",
+        default=1.0,
     )
-    latency_s: NotNegative = key(NOT_NEGATIVE, "total delay of image and hand", default=0.4)
+    latency_s: NotNegative = key(
+        NOT_NEGATIVE, "total delay of the image and of the operator's hand", default=0.4
+    )
     speed_m_per_s: Positive = key(POSITIVE, "maximum speed of the tip", default=0.2)
     largest_rate_deg_per_s: Positive = key(POSITIVE, "maximum commanded joint rate", default=2.0)
     largest_angle_deg: Positive = key(POSITIVE, "maximum commanded joint angle", default=60.0)
@@ -57,7 +63,7 @@ class OperatorSection(Section):
     )
     patience_s: Positive = key(
         POSITIVE,
-        "time without the opening in view after which the joints return to the approach",
+        "time without the opening in view after which the joints return to the approach pose",
         default=20.0,
     )
     pixel_px: Positive = key(
@@ -75,37 +81,39 @@ class SteeringSection(Section):
         default=2.5,
     )
     air_m_per_s: Positive = key(
-        POSITIVE, "root mean square of the air velocity that the controller assumes", default=0.2
+        POSITIVE, "root mean square of the air velocity assumed by the controller", default=0.2
     )
 
 
 class MissionWindSection(Section):
-    """`[mission.wind]`: the air, which the operator does not know."""
+    """`[mission.wind]`: the wind, which the operator does not know."""
 
     speed_m_per_s: NotNegative = key(
         NOT_NEGATIVE, "root mean square of the air velocity", default=0.2
     )
     mean: _Share = key(
         "a number above 0 and up to 1",
-        "ratio of the mean flow (horizontal, in a random direction) to speed_m_per_s",
+        "ratio of the speed of the mean flow (horizontal, in a random direction) to speed_m_per_s",
         default=0.3,
     )
     length_scale_m: Positive = key(POSITIVE, "length scale of the gusts", default=2.0)
 
 
 class MissionSection(Section):
-    """`[mission]`: what is to be reached, in what time, by whom."""
+    """`[mission]`: the target, the time limit, and the operator."""
 
     opening: Name | None = key(
         "the name of a wall", "wall with the opening that the tip passes through"
     )
     camera: Name | None = key("the name of a camera", "camera at the tip that the operator uses")
     beyond_m: Positive = key(
-        POSITIVE, "distance behind the outer face from which the tip counts as inside", default=0.5
+        POSITIVE,
+        "distance behind the outer face of the wall beyond which the tip is considered inside",
+        default=0.5,
     )
     hold_s: NotNegative = key(NOT_NEGATIVE, "time for which the tip must stay inside", default=3.0)
     limit_s: Annotated[float, Field(gt=0, le=36_000, allow_inf_nan=False)] = key(
-        "a positive number of up to 36000", "time limit of the mission", default=720.0
+        "a positive number up to 36000", "time limit of the mission", default=720.0
     )
     operator: OperatorSection = key("a table of keys", "operator who drives the arm", default=...)
     steering: SteeringSection = key(
@@ -118,45 +126,46 @@ class MissionSection(Section):
         "a table of keys", "motion of the air", default=MissionWindSection()
     )
     spread: dict[str, NotNegative] | None = key(
-        "a table of numbers by parameter",
-        "standard deviations of the logarithm of parameters between cases",
+        "a table of parameter paths and numbers",
+        "standard deviations of the logarithms of parameters between cases",
     )
 
     @field_validator("spread", mode="before")
     @classmethod
     def _no_tables(cls, spread: object) -> object:
         if isinstance(spread, dict) and any(isinstance(each, dict) for each in spread.values()):
-            raise ValueError("contains a table: put the paths of parameters in quotes")
+            raise ValueError("contains a table: put parameter paths in quotes")
         return spread
 
 
-# The sections of a file that says what a game pad does: `giajax drive --pad FILE.toml`.
+# Sections of a file that assigns the controls of a game pad: `giajax drive --pad FILE.toml`.
 
 _Joints = Annotated[list[Count], Field(min_length=1)]
 _Index = Annotated[int, Field(ge=0, le=255)]
 
 
 class PadAxis(Section):
-    """An entry of `[[pad.axes]]`: a stick, and the joints that it turns."""
+    """An entry of `[[pad.axes]]`: a stick, and the joints that it moves."""
 
     axis: _Index = key(
-        "a whole number from 0 on",
-        "number of the axis; on a standard pad 0 and 1 are the left stick (right, down), 2 and 3 "
-        "the right stick",
+        "a whole number from 0 to 255",
+        "number of the axis; on a standard pad, 0 and 1 are the left stick (right, down) and 2 "
+        "and 3 are the right stick",
         default=...,
     )
-    joints: _Joints = key("a list of numbers of joints", "joints that the axis moves", default=...)
+    joints: _Joints = key("a list of joint numbers", "joints that the axis moves", default=...)
     rate_deg_per_s: Finite = key(
-        "a finite number", "rate of each joint at full deflection; negative: reversed",
+        "a finite number",
+        "rate of each joint at full deflection; a negative rate reverses the direction",
         default=...,
-    )  # fmt: skip
+    )
 
 
 class PadButton(Section):
-    """An entry of `[[pad.buttons]]`: a button, and what it does."""
+    """An entry of `[[pad.buttons]]`: a button, and its function."""
 
-    button: _Index = key("a whole number from 0 on", "number of the button", default=...)
-    preset: Name | None = key("the name of a preset", "move to this preset")
+    button: _Index = key("a whole number from 0 to 255", "number of the button", default=...)
+    preset: Name | None = key("the name of a preset", "preset to which the arm moves")
     stop: bool | None = key("true or false", "true: stop all joints and hold the current command")
     dead_man: bool | None = key(
         "true or false", "true: joints move only while this button is pressed"
@@ -167,30 +176,31 @@ class Preset(Section):
     """An entry of `[[pad.presets]]`: angles of some joints."""
 
     name: Name = key("a name", "name of the preset on the page", default=...)
-    joints: _Joints = key(
-        "a list of numbers of joints", "joints that the preset moves", default=...
-    )
+    joints: _Joints = key("a list of joint numbers", "joints that the preset moves", default=...)
     angles_deg: list[Finite] = key(
         "a list of numbers", "angles that these joints take", default=...
     )
     others_deg: Finite | None = key(
-        "a finite number", "angle that all other joints take (default: they stay)"
+        "a finite number", "angle that all other joints take (default: they do not move)"
     )
 
 
 class PadSection(Section):
-    """`[pad]`: what a game pad does."""
+    """`[pad]`: the assignment of a game pad."""
 
     dead_zone: Annotated[float, Field(ge=0, lt=1)] = key(
-        "a number from 0 to below 1", "deflection below which the stick has no effect", default=0.12
+        "a number of at least 0 and below 1",
+        "deflection below which the stick has no effect",
+        default=0.12,
     )
     exponent: Positive = key(
         POSITIVE,
-        "exponent of rate over deflection; 1: proportional; 2: finer near the centre",
+        "exponent of the rate as a function of the deflection; 1: proportional; 2: finer control "
+        "near the centre",
         default=2.0,
     )
     largest_rate_deg_per_s: Positive = key(
-        POSITIVE, "maximum commanded joint rate, by pad, slider or preset", default=5.0
+        POSITIVE, "maximum joint rate commanded by pad, slider or preset", default=5.0
     )
     largest_angle_deg: Positive = key(POSITIVE, "maximum commanded joint angle", default=60.0)
     timeout_s: Positive = key(
@@ -207,6 +217,8 @@ class PadSection(Section):
 
 
 class PadFile(Section):
-    """A file that says what a game pad does."""
+    """A file that assigns the controls of a game pad."""
 
-    pad: PadSection = key("a table of keys", "assignment of the game pad", default=...)
+    pad: PadSection = key(
+        "a table of keys", "assignment of the controls of the game pad", default=...
+    )

@@ -1,4 +1,4 @@
-"""Quantities of the chain, of what stands around, of what records it and of what fills it."""
+"""Quantities of the arm, its obstacles, the sensors that record it, and its filling."""
 
 import numpy as np
 
@@ -28,9 +28,9 @@ class _Links(Group):
     diameter = positive(
         _DIAMETER, "m", "aerodynamic diameter of a link", per="link", source=_TABLE
     ).keyed("link_diameter_m", closed=True)
-    mass = positive(
-        _MASS, "kg", "mass of a link that moves with it", per="link", source=_TABLE
-    ).keyed("link_mass_kg")
+    mass = positive(_MASS, "kg", "mass that moves with a link", per="link", source=_TABLE).keyed(
+        "link_mass_kg"
+    )
     inertia_transverse = guess(
         _TRANSVERSE,
         "kg m^2",
@@ -49,7 +49,8 @@ class _Links(Group):
     fullness = guess(
         1.0,
         "",
-        "displaced volume of a link relative to a cylinder of its length and diameter",
+        "ratio of the displaced volume of a link to the volume of a cylinder of the same length "
+        "and diameter",
         per="link",
     )
     pressure = guess(
@@ -68,7 +69,7 @@ class _Base(Group):
         "rotation of the straight arm relative to the base frame, as a rotation vector",
         shape=(3,),
     ).keyed("base_rotation_deg")
-    # What is fitted where buoyancy balances weight may end a little below zero, and is read again.
+    # A small negative value is legal in files, because a fit of a balanced arm can end there.
     gravity = Declaration(
         0.0, "m/s^2", "acceleration of gravity along -z; 0 where buoyancy balances weight"
     ).keyed("gravity_m_per_s2", lower=-1, closed=True, remark=" (it acts along -z)")
@@ -174,12 +175,12 @@ class _Joints(Group):
         essential=True,
     )
     damping = freed_guess(
-        0.05, "N m s/rad", "viscous damping acting on the rate of a joint", upper=1e2, **EACH_JOINT
+        0.05, "N m s/rad", "viscous damping coefficient of a joint", upper=1e2, **EACH_JOINT
     )
     drive_gain = positive(
         1.0,
         "",
-        "offset of the angle that a joint's drive holds from the commanded angle",
+        "ratio of the angle that a joint's drive holds to the commanded angle",
         upper=10,
         optional=True,
         neutral=1.0,
@@ -188,7 +189,7 @@ class _Joints(Group):
     stiffness_factor = positive(
         1.0,
         "",
-        "stiffness of a joint relative to that of its kind (pitch or yaw)",
+        "ratio of the stiffness of a joint to the stiffness of its kind (pitch or yaw)",
         upper=100,
         optional=True,
         neutral=1.0,
@@ -201,10 +202,10 @@ class _Joints(Group):
         upper=1.0,
     )
     friction = positive(
-        0.1, "N m", "Coulomb friction of a joint", upper=1e3, optional=True, **EACH_JOINT
+        0.1, "N m", "Coulomb friction torque of a joint", upper=1e3, optional=True, **EACH_JOINT
     )
     friction_rate = guess(
-        0.05, "rad/s", "rate at which Coulomb friction reaches tanh(1) = 76 % of its value"
+        0.05, "rad/s", "joint rate at which Coulomb friction reaches tanh(1) = 76 % of its value"
     )
     armature = positive(
         1e-3,
@@ -224,7 +225,7 @@ class _Joints(Group):
     drive_saturation = positive(
         0.1,
         "1/rad^2",
-        "how drives saturate: for a commanded angle u they reach u / sqrt(1 + saturation u^2)",
+        "saturation of the drives: for a commanded angle u they reach u / sqrt(1 + saturation u^2)",
         upper=100,
         optional=True,
         **EACH_JOINT,
@@ -235,7 +236,7 @@ class _Memory(Group):
     strength = positive(
         0.02,
         "N m",
-        "largest torque of a joint's hysteresis (Bouc-Wen; Dahl's friction by default)",
+        "maximum hysteretic torque of a joint (Bouc-Wen; Dahl friction by default)",
         upper=1e3,
         optional=True,
         has_states=True,
@@ -244,23 +245,24 @@ class _Memory(Group):
     yield_angle = Declaration(
         0.005,
         "rad",
-        "strength of a joint's hysteresis divided by its initial stiffness",
+        "maximum hysteretic torque of a joint divided by the initial stiffness of the hysteresis",
         lower=1e-6,
         upper=10,
         assumed=True,
         **EACH_JOINT,
     )
-    nu = Declaration(1.0, "", "sharpness of the knee of the hysteresis", lower=1, upper=20)
+    nu = Declaration(1.0, "", "sharpness of the knee of the hysteresis loop", lower=1, upper=20)
     delta = Declaration(
         0.0,
         "",
-        "shape of the loop of the hysteresis; 0 is Dahl's, 1/2 unloads elastically",
+        "shape of the hysteresis loop; 0: Dahl friction; 1/2: elastic unloading",
         lower=-1,
         upper=0.5,
     )
     initial = left_out(
         "",
-        "initial torque of a joint's hysteresis, opposite to its angle, relative to its strength",
+        "initial hysteretic torque of a joint, opposite to the joint angle, relative to the "
+        "maximum",
         lower=-1,
         upper=1,
         **EACH_JOINT,
@@ -271,7 +273,7 @@ class _Stops(Group):
     strength = positive(
         0.1,
         "N m",
-        "yield torque of each of the parallel elastic elements of a joint (Iwan)",
+        "yield torque of each of the parallel elastic-plastic elements of a joint (Iwan)",
         per="stop",
         each=True,
         any_number=True,
@@ -282,7 +284,7 @@ class _Stops(Group):
     yield_angle = Declaration(
         0.02,
         "rad",
-        "yield angle of each of the parallel elastic elements of a joint",
+        "yield angle of each of the parallel elastic-plastic elements of a joint",
         per="stop",
         each=True,
         any_number=True,
@@ -308,20 +310,20 @@ INITIAL = _Initial("initial")
 
 NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
               JOINTS.pitch_stiffness, JOINTS.yaw_stiffness, JOINTS.damping)  # fmt: skip
-"""What a user's arm must state, because no number of it goes without saying."""
+"""Quantities that a user's arm must give, because they have no neutral default."""
 
 
 class _Contact(Group):
     shape_factor = positive(
         np.pi,
         "",
-        "contact force of a flattened link divided by pressure, length and penetration: pi "
-        "between two "
-        "plates, 4 pi / 3 on one wall with only the weight of the skin as reaction",
+        "contact force of a flattened link divided by the product of pressure, length and "
+        "penetration: pi between two plates, and 4 pi / 3 on one wall if only the weight of the "
+        "skin is the reaction",
     ).keyed("contact_shape_factor")
-    damping = guess(0.5, "s/m", "relative increase of the contact force per closing speed").keyed(
-        "contact_damping_s_per_m", closed=True
-    )
+    damping = guess(
+        0.5, "s/m", "relative increase of the contact force per unit of closing speed"
+    ).keyed("contact_damping_s_per_m", closed=True)
     friction = guess(
         0.3,
         "",
@@ -337,22 +339,25 @@ class _Contact(Group):
 CONTACT = _Contact("contact")
 
 
-# What records an arm (camera, markers, angle sensors), and what fills it.
+# Sensors of an arm (camera, markers, angle sensors), and its filling.
 
 _LONGEST_DELAY = 5.0
-"""A clock that is off by more than this (s) is a wrong file."""
+"""Largest delay of a clock, s: a larger one indicates a wrong file."""
 
 
 def delay(key: str, doc: str) -> Declaration:
-    """Of a clock that is late, or early, by so much."""
+    """Declare the delay of a clock, which may be late (positive) or early."""
     return left_out("s", doc, lower=-_LONGEST_DELAY, upper=_LONGEST_DELAY).keyed(
         key, closed=True, example=0.05
     )
 
 
 def clock_rate(key: str) -> Declaration:
-    """Of a clock that is slow, or fast, by so much."""
-    doc = "relative excess of the true time since the first sample over the time stamps"
+    """Declare the rate error of a clock, which may be slow (positive) or fast."""
+    doc = (
+        "relative excess of the true time since the first sample over the time according to the "
+        "time stamps"
+    )
     return left_out("", doc, lower=-0.05, upper=0.05).keyed(key, closed=True, example=0.001)
 
 
@@ -368,17 +373,17 @@ class _Camera(Group):
     scale = positive(
         1.0, "", "ratio of recorded to true distances", optional=True, neutral=1.0
     ).keyed("camera_scale")
-    delay = delay("camera_delay_s", "delay of a position or image, by which its time stamp is late")
+    delay = delay("camera_delay_s", "time by which the time stamp of a position or image is late")
     clock_rate = clock_rate("camera_clock_rate")
     lens_k1 = left_out(
         "",
-        "relative radial distortion at half of the arm's length from the middle of the straight "
-        "arm, proportional to the square of that distance",
+        "relative radial distortion at a distance of half the arm's length from the middle of the "
+        "straight arm; it is proportional to the square of the distance",
         lower=-1,
         upper=1,
     ).keyed("camera_lens_k1", closed=True, example=-0.05)
     lens_k2 = left_out(
-        "", "as k1, but proportional to the fourth power of that distance", lower=-1, upper=1
+        "", "as lens_k1, but proportional to the fourth power of the distance", lower=-1, upper=1
     ).keyed("camera_lens_k2", closed=True, example=0.01)
 
 
@@ -393,23 +398,25 @@ class _Marker(Group):
         "marker_up_m", example=0.15
     )
     tip = left_out(
-        "m", "offset of the tip's marker from the end of the last link: along, left, up", shape=(3,)
+        "m",
+        "offset of the tip's marker from the end of the last link (along, left, up)",
+        shape=(3,),
     ).keyed("marker_tip_m")
 
 
 class _Encoder(Group):
-    offset = left_out(
-        "rad", "reading of a joint's angle sensor at the angle 0", **EACH_JOINT
-    ).keyed("encoder_offset_deg")
+    offset = left_out("rad", "reading of a joint's angle sensor at zero angle", **EACH_JOINT).keyed(
+        "encoder_offset_deg"
+    )
     scale = positive(
         1.0,
         "",
-        "ratio of measured to true changes of a joint's angle",
+        "ratio of measured to true changes of a joint angle",
         optional=True,
         neutral=1.0,
         **EACH_JOINT,
     ).keyed("encoder_scale")
-    delay = delay("encoder_delay_s", "delay of a joint's angle, by which its time stamp is late")
+    delay = delay("encoder_delay_s", "time by which the time stamp of a joint angle is late")
     clock_rate = clock_rate("encoder_clock_rate")
     rate_offset = left_out(
         "rad/s", "reading of a joint's rate sensor, such as a gyroscope, at rest", **EACH_JOINT
@@ -425,14 +432,15 @@ class _Pinhole(Group):
     position = Declaration(
         0.0,
         "m",
-        "centre of the camera's lens in the base frame; for a camera on a link: along, left and "
-        "up from its mount",
+        "position of the lens centre in the base frame; for a camera on a link, its offset from "
+        "the mount (along, left, up)",
         shape=(3,),
     ).keyed("position_m", example=[10.0, -15.0, 1.0])
     rotation = Declaration(
         0.0,
         "rad",
-        "rotation of the camera, as a rotation vector; at 0 it looks along x, with u to the right",
+        "rotation of the camera, as a rotation vector; an unrotated camera looks along x, with u "
+        "to the right",
         shape=(3,),
     ).keyed("rotation_deg", example=[0.0, 0.0, 90.0])
     focal_length = positive(
@@ -466,14 +474,15 @@ class _Pinhole(Group):
     ).keyed("distortion", example=[-0.2, 0.05, 0.0, 0.0, 0.0])
     delay = delay(
         "delay_s",
-        "delay of an image of this camera, added to the delay of all cameras",
+        "time by which the time stamps of this camera are late, in addition to the delay of all "
+        "cameras",
     )
 
 
 class _Landmark(Group):
-    position = Declaration(
-        0.0, "m", "position of a landmark of the room in the base frame", shape=(3,)
-    ).keyed("position_m", example=[6.0, 0.5, 1.2])
+    position = Declaration(0.0, "m", "position of a landmark in the base frame", shape=(3,)).keyed(
+        "position_m", example=[6.0, 0.5, 1.2]
+    )
 
 
 PINHOLE = _Pinhole("camera.NAME")
@@ -486,20 +495,20 @@ class _Gas(Group):
         "kg/m^3",
         "density of the gas at ambient pressure (helium, 20 C, 1 atm)",
     ).keyed("gas_density_kg_per_m3")
-    ambient_pressure = positive(101325.0, "Pa", "absolute pressure of the room").keyed(
+    ambient_pressure = positive(101325.0, "Pa", "absolute pressure in the room").keyed(
         "ambient_pressure_kPa"
     )
     viscosity = positive(1.96e-5, "Pa s", "dynamic viscosity of the gas (helium, 20 C)").keyed(
         "gas_viscosity_Pa_s"
     )
     heat_capacity_ratio = Declaration(
-        5 / 3, "", "ratio of the gas's heat capacities (5/3 for a monatomic gas)", lower=1, upper=2
+        5 / 3, "", "heat capacity ratio of the gas (5/3 for a monatomic gas)", lower=1, upper=2
     ).keyed("gas_heat_capacity_ratio")
 
 
 class _Skin(Group):
     stiffness = guess(
-        1e4, "N/m", "modulus times thickness of the skin (polyethylene of 200 MPa and 50 um)"
+        1e4, "N/m", "modulus times thickness of the skin (polyethylene with 200 MPa and 50 um)"
     ).keyed("skin_stiffness_N_per_m")
     poisson_ratio = Declaration(
         0.45, "", "Poisson's ratio of the skin", lower=-1, upper=0.5, assumed=True
@@ -517,7 +526,7 @@ class _Neck(Group):
     film_stiffness = guess(
         _Skin.stiffness.default, "N/m", "modulus times thickness of the film of the neck"
     )
-    # That of links, which gas passes to.
+    # The default is the pressure of the links, because gas passes between links and neck.
     pressure = guess(_Links.pressure.default, "Pa", "gauge pressure of the gas in the neck")
 
 
@@ -537,35 +546,37 @@ class _Supply(Group):
     flow = positive(
         61e-3 / 60,
         "m^3/s",
-        "flow through a flow meter, as volume at ambient pressure",
+        "volume flow through a flow meter, at ambient pressure",
         source="IV.B: 1.40 m^3 in 23 min",
     ).keyed("supply_flow_l_per_min")
-    pressure = guess(2e5, "Pa", "pressure that a regulator holds, above that of the room").keyed(
+    pressure = guess(2e5, "Pa", "gauge pressure that a regulator holds").keyed(
         "supply_pressure_bar"
     )
     bottle_volume = guess(0.01, "m^3", "volume of a bottle").keyed("bottle_volume_l")
-    bottle_pressure = guess(200e5, "Pa", "pressure of a full bottle, above that of the room").keyed(
+    bottle_pressure = guess(200e5, "Pa", "gauge pressure of a full bottle").keyed(
         "bottle_pressure_bar"
     )
     nozzle_diameter = guess(
         0.001, "m", "diameter of the restriction behind a regulator or bottle"
     ).keyed("nozzle_diameter_mm")
-    nozzle_length = guess(0.001, "m", "length of that restriction").keyed("nozzle_length_mm")
-    nozzle_coefficient = guess(0.8, "", "discharge coefficient of that restriction", upper=1).keyed(
-        "nozzle_discharge_coefficient"
-    )
+    nozzle_length = guess(
+        0.001, "m", "length of the restriction behind a regulator or bottle"
+    ).keyed("nozzle_length_mm")
+    nozzle_coefficient = guess(
+        0.8, "", "discharge coefficient of the restriction behind a regulator or bottle", upper=1
+    ).keyed("nozzle_discharge_coefficient")
 
 
 class _Roll(Group):
-    radius = guess(0.1, "m", "radius of the roll with the whole arm wound on it").keyed(
+    radius = guess(0.1, "m", "radius of the roll when the whole arm is wound on it").keyed(
         "roll_radius_mm"
     )
     core_radius = guess(0.05, "m", "radius of the core that the arm is wound on").keyed(
         "core_radius_mm"
     )
     core_mass = guess(0.1, "kg", "mass of the core, a thin tube").keyed("core_mass_kg")
-    start = guess(0.1, "m", "unrolled length at the beginning").keyed("start_length_m")
-    start_speed = positive(0.0, "m/s", "speed of the roll at the beginning", assumed=True).keyed(
+    start = guess(0.1, "m", "initial unrolled length").keyed("start_length_m")
+    start_speed = positive(0.0, "m/s", "initial speed of the roll", assumed=True).keyed(
         "start_speed_m_per_s", closed=True
     )
 
@@ -576,17 +587,17 @@ class _Film(Group):
         1.0,
         "",
         "fraction of its curvature in the roll that the film keeps: 0 for elastic film, which "
-        "drives the roll; 1 for film that has crept, which must be straightened",
+        "drives the roll; 1 for fully crept film, which must be straightened",
         lower=0,
         upper=1,
         assumed=True,
     ).keyed("film_creep", closed=True)
-    peel = guess(0.3, "N", "force that separates the layers of the roll").keyed(
+    peel = guess(0.3, "N", "force required to separate the layers of the roll").keyed(
         "peel_force_N", closed=True
     )
-    loss = guess(10.0, "N s/m", "force that opposes the roll, divided by its speed").keyed(
-        "front_loss_N_s_per_m", closed=True
-    )
+    loss = guess(
+        10.0, "N s/m", "force that opposes the motion of the roll, divided by the speed of the roll"
+    ).keyed("front_loss_N_s_per_m", closed=True)
 
 
 class _Hand(Group):

@@ -1,6 +1,6 @@
-"""What muscles press together, against what gas holds: links that collapse, necks that are crushed.
+"""Check that the gas withstands the muscles: links must not collapse, and necks not be crushed.
 
-Numbers by path, as files state them and as models have them. Imports no JAX.
+Values are given by path, as in files and models. Does not import JAX.
 """
 
 from collections.abc import Mapping
@@ -18,21 +18,21 @@ def _value(known: Mapping[str, Any], of: Declaration) -> Any:
 
 
 def braid_area(diameter: Any, angle: Any) -> Any:
-    """Force of an ideal braided muscle that is not contracted, over its pressure, m^2.
+    """Return the force of an ideal braided muscle at zero contraction per unit of pressure, m^2.
 
     Arguments:
-        diameter: at rest, m.
-        angle: of the braid from the axis at rest, rad.
+        diameter: diameter at rest, m.
+        angle: braid angle from the axis at rest, rad.
     """
     return np.pi / 4 * diameter**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
 
 
 def largest_pull(known: Mapping[str, Any], law: str | None = None) -> float:
-    """Force of one muscle at its pressure limit that is not contracted, N.
+    """Return the force of one muscle at its pressure limit and zero contraction, N.
 
     Arguments:
-        known: values by path, SI; what is not among them is as by default.
-        law: "braided" (by default) or "empirical", of which it is that of a long muscle.
+        known: values by path, SI; missing ones have their defaults.
+        law: "braided" (the default) or "empirical", for which the muscle is assumed to be long.
     """
     if law == "empirical":
         return float(_value(known, EMPIRICAL.force_limit))
@@ -42,11 +42,11 @@ def largest_pull(known: Mapping[str, Any], law: str | None = None) -> float:
 
 
 def collapse(pressure: npt.ArrayLike, diameter: npt.ArrayLike, pull: float) -> str | None:
-    """Which links have less than the force of a muscle in p pi r^2; None: none have.
+    """Describe the links in which p pi r^2 is less than the force of a muscle, or return None.
 
     Arguments:
-        pressure, diameter: of the links, Pa and m: one number for all, or one each.
-        pull: of one muscle, N.
+        pressure, diameter: of the links, Pa and m: one number for all, or one for each.
+        pull: force of one muscle, N.
     """
     pressures, sizes = np.broadcast_arrays(np.ravel(pressure), np.ravel(diameter))
     borne = pressures * np.pi / 4 * sizes**2
@@ -57,24 +57,24 @@ def collapse(pressure: npt.ArrayLike, diameter: npt.ArrayLike, pull: float) -> s
     these = "each link withstands" if alone else f"{weak.size} of {borne.size} links withstand"
     return (
         f"{these} less than the {pull:.1f} N pull of one muscle at its pressure limit, and would "
-        f"collapse:"
-        f" p pi r^2 {'' if alone else f'of link {least + 1} '}is "
-        f"{borne[least]:.1f} N, at {pressures[least]:.1f} Pa"
+        f"collapse: p pi r^2 {'' if alone else f'of link {least + 1} '}is {borne[least]:.1f} N, "
+        f"at {pressures[least]:.1f} Pa"
     )
 
 
 def straight_compression(known: Mapping[str, Any]) -> float:
-    """Force with which both muscles press a straight joint together at least, N.
+    """Return the least force with which both muscles compress a straight joint, N.
 
-    That of the co-contraction torque of each, at the height of its anchor.
+    It follows from the co-contraction torque of each muscle and the height of its anchor.
     """
     return float(2 * _value(known, LOAD.torque) / _value(known, GEOMETRY.anchor_y))
 
 
 def crushed(compression: float, held: float, *, joint: int | None = None) -> str | None:
-    """That the gas in a neck does not hold the compression of the straight joint, both in N.
+    """Describe that the gas in a neck does not withstand the compression, or return None.
 
-    Of a numbered joint of an arm, the compression is the least that muscles have.
+    Both forces on the straight joint are in N. For a numbered joint of an arm, the compression is
+    the least that its muscles exert.
     """
     if compression < held:
         return None

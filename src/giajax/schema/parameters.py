@@ -1,4 +1,4 @@
-"""Fields of models that are parameters: found, read and replaced by their paths. Imports JAX."""
+"""Parameters of models as fields: find, read and replace them by path. Imports JAX."""
 
 import dataclasses
 import difflib
@@ -17,10 +17,10 @@ from ..runtime.text import InputError, format_estimate
 from ._declaration import Declaration
 
 DECLARED = "giajax.parameter"
-"""Metadata of a field that is a parameter: its declaration."""
+"""Metadata key of the declaration of a field that is a parameter."""
 
 INLINE = "giajax.inline"
-"""Metadata of a field whose own name is not in the paths of its parameters."""
+"""Metadata key of a field whose own name is not in the paths of its parameters."""
 
 
 @overload
@@ -44,16 +44,16 @@ def parameter(
     source: str = "",
 ) -> Any: ...
 def parameter(declared: Declaration | float, /, *, default: bool = True, **about: Any) -> Any:
-    """Field of an Equinox module that is a parameter.
+    """Declare a field of an Equinox module as a parameter.
 
-    The value is converted to an array of the default floating-point type, strongly typed: a
+    The value is converted to a strongly typed array of the default floating-point type, because a
     weakly typed scalar would compile every program twice.
 
     Arguments:
-        declared: the declaration, of `giajax.schema`; or a default (SI), for a model of
-            your own, with the rest of its declaration as keywords.
-        default: whether an owner that does not give it has the default; else it must be given.
-        about: the rest of a declaration; `unit` and `doc` are needed.
+        declared: a declaration from `giajax.schema`; or, for your own model, a default (SI), with
+            the rest of the declaration as keywords.
+        default: True if the field has a default; otherwise a value must be given.
+        about: the rest of a declaration; `unit` and `doc` are required.
 
     Example:
         >>> import equinox as eqx
@@ -80,7 +80,7 @@ def _converter(declaration: Declaration) -> Callable[[Any], Any]:
             return None
         dtype = jnp.result_type(float)
         if not any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
-            # By numpy: JAX would compile a program to convert a list, or integers.
+            # Converted by numpy, because JAX would compile a program to convert a list or integers.
             value = jax.device_put(np.array(value, dtype))
         array = jnp.asarray(value, dtype=dtype)
         shape = declaration.shape
@@ -90,19 +90,19 @@ def _converter(declaration: Declaration) -> Callable[[Any], Any]:
 
 
 HELD = "giajax.held"
-"""Metadata of a field whose parameters a fit finds only where it is asked for them."""
+"""Metadata key of a field whose parameters are fitted only on request."""
 
 
 def held(*, inline: bool = False, **options: Any) -> Any:
-    """Field whose parameters are all frozen in this owner, whatever they are elsewhere.
+    """Declare a field whose parameters are all frozen in this owner.
 
-    `inline` is as of the function of that name; `options` are those of `equinox.field`.
+    `inline` has the meaning of the function `inline`; `options` are those of `equinox.field`.
     """
     return eqx.field(metadata={HELD: True, INLINE: inline}, **options)
 
 
 def inline(**options: Any) -> Any:
-    """Field whose parameters appear in the paths of its owner without the field's own name.
+    """Declare a field whose own name does not appear in the paths of its parameters.
 
     `options` are those of `equinox.field`, such as `default_factory`.
     """
@@ -110,7 +110,7 @@ def inline(**options: Any) -> Any:
 
 
 def declaration(module: type[eqx.Module], field: str) -> Declaration:
-    """The declaration at a field of a module class."""
+    """Return the declaration of a field of a module class."""
     return module.__dataclass_fields__[field].metadata[DECLARED]
 
 
@@ -119,9 +119,9 @@ Module = TypeVar("Module", bound=eqx.Module)
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """A declared parameter of one model: its path, its declaration and how to reach it.
+    """A declared parameter of one model: its path, its declaration and how to access it.
 
-    Parts of a model that declare the same path share it: it is then in several places.
+    Parts of a model that declare the same path share the parameter, which then has several places.
     """
 
     path: str
@@ -130,26 +130,26 @@ class Parameter:
     index: int | None = None
 
     def value(self, model: eqx.Module) -> Array:
-        """The parameter's array in a model (one element where the path has an index)."""
+        """Return the array of the parameter in a model (one element if the path has an index)."""
         array = next(array for get in self.getters if (array := get(model)) is not None)
         return array if self.index is None else array[self.index]
 
     def is_on(self, model: eqx.Module) -> bool:
-        """Whether the model has this parameter, or leaves its part out."""
+        """Return whether the model has this parameter, rather than leaving its part out."""
         return any(get(model) is not None for get in self.getters)
 
     @property
     def is_shared(self) -> bool:
-        """Whether several parts of the model have it."""
+        """Whether several parts of the model have this parameter."""
         return len(self.getters) > 1
 
     @property
     def any_number(self) -> bool:
-        """Whether it may get another number of elements than it has."""
+        """Whether the number of elements may be changed."""
         return self.declaration.any_number and self.index is None
 
     def set(self, model: Module, value: Any) -> Module:
-        """The model with this parameter replaced; differentiable in `value`.
+        """Return the model with this parameter replaced; differentiable in `value`.
 
         A parameter that was left out is switched on.
         """
@@ -175,26 +175,26 @@ class Parameter:
 
 
 def declared(model: eqx.Module) -> dict[str, Parameter]:
-    """All parameters of a model by dotted path, in the order of their fields.
+    """Return all parameters of a model by dotted path, in the order of their fields.
 
-    Optional ones that the model leaves out are not among them; see `left_out`.
+    Optional parameters that the model leaves out are not included; see `left_out`.
     """
     return {path: p for path, p in _by_path(model).items() if p.is_on(model)}
 
 
 def left_out(model: eqx.Module) -> dict[str, Parameter]:
-    """The optional parameters that a model leaves out, by dotted path.
+    """Return the optional parameters that a model leaves out, by dotted path.
 
-    `replace` switches one on, by giving it a value.
+    `replace` switches a parameter on by giving it a value.
     """
     return {path: p for path, p in _by_path(model).items() if not p.is_on(model)}
 
 
 def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, ...]:
-    """Paths that a fit frees by default: those whose declaration is not frozen.
+    """Return the paths that a fit frees by default: those whose declaration is not frozen.
 
-    What the model holds at a bound, such as the spring of a pendulum at zero, is left out of it
-    on purpose, and stays so, unless it is among those that have a start.
+    A parameter that the model has at a bound, such as the zero stiffness of a pendulum, stays held,
+    unless it is among those with a start value (`started`).
     """
     started = set(started)
 
@@ -210,7 +210,7 @@ def default_free(model: eqx.Module, started: Iterable[str] = ()) -> tuple[str, .
 
 
 def parameter_rows(model: eqx.Module) -> dict[str, str]:
-    """What a fit frees of a model by default, with values in SI units, and what it holds."""
+    """Return text on the parameters that a fit frees by default, with values, and on held ones."""
     known, free = declared(model), default_free(model)
     shown = []
     for path in free:
@@ -220,8 +220,9 @@ def parameter_rows(model: eqx.Module) -> dict[str, str]:
 
 
 def _by_path(model: eqx.Module) -> dict[str, Parameter]:
-    """All parameters, those that are left out too; of those that parts share, one."""
-    # They depend on what a model consists of and not on its values; a fit asks for them often.
+    """Return all parameters by path, including those left out; shared ones occur once."""
+    # They depend on the structure of a model and not on its values, and are cached because fits
+    # request them often.
     parts = _parts(model)
     known = _BY_PARTS.get(parts)
     if known is None:
@@ -236,7 +237,7 @@ _MOST_KEPT = 64
 
 
 def _parts(node: Any) -> Any:
-    """The classes of a model's parts, in their order."""
+    """Return the classes of the parts of a model, in order."""
     if isinstance(node, eqx.Module):
         return type(node), tuple(map(_parts, vars(node).values()))
     if isinstance(node, dict):
@@ -249,7 +250,7 @@ def _found(model: eqx.Module) -> dict[str, Parameter]:
     for found in _walk(model, "", lambda root: root):
         known = parameters.get(found.path)
         if known is not None:
-            # Held in one part, it is free where another part's recordings tell it.
+            # A parameter that is held in one part is free if another part's data can determine it.
             freer = found if known.declaration.frozen else known
             getters = (*known.getters, *found.getters)
             found = dataclasses.replace(freer, getters=getters)
@@ -280,7 +281,7 @@ def _walk(node: eqx.Module, prefix: str, getter: Callable[[Any], Any]) -> Iterab
 
 
 def checked(model: Module) -> Module:
-    """The model, after what its classes check: not every option suits every model."""
+    """Return the model after the checks of its classes, because not all options are compatible."""
     check = getattr(model, "__check_init__", None)
     if check is not None:
         check()
@@ -302,7 +303,7 @@ def _element(getter: Callable[[Any], Any], index: int | str) -> Callable[[Any], 
 
 
 def present_path(model: eqx.Module, path: str) -> str:
-    """What a path of an earlier version is now, of a parameter that the model has; or itself."""
+    """Return the current path for a former path of a parameter in the model; others unchanged."""
     name, bracket, index = path.partition("[")
     known = _by_path(model)
     if not name or name in known:
@@ -315,13 +316,13 @@ _PATH = re.compile(r"(?P<name>[A-Za-z_][\w.]*?)(?:\[(?P<index>[0-9]{1,9})\])?\Z"
 
 
 def find(model: eqx.Module, path: str) -> Parameter:
-    """The parameter at a path such as `air.drag_coefficient` or `links.mass[2]`.
+    """Return the parameter at a path such as `air.drag_coefficient` or `links.mass[2]`.
 
-    Indices count from 0, as in Python.
+    Indices start at 0, as in Python.
 
     Raises:
-        InputError: there is no such parameter (the nearest one is named), or the index is
-            beyond its length.
+        InputError: there is no such parameter (the message gives the nearest one), or the index
+            is too large.
     """
     known = declared(model)
     path = present_path(model, path)
@@ -351,7 +352,7 @@ def find(model: eqx.Module, path: str) -> Parameter:
 
 
 def elements(model: eqx.Module, path: str) -> list[Parameter]:
-    """The scalar parameters that a path stands for: itself, or each element of its array."""
+    """Return the scalar parameters of a path: itself, or each element of its array."""
     parameter = find(model, path)
     shape = parameter.value(model).shape
     if shape == ():
@@ -363,7 +364,7 @@ def elements(model: eqx.Module, path: str) -> list[Parameter]:
 
 
 def get(model: eqx.Module, path: str) -> Array:
-    """Value of the parameter at a path."""
+    """Return the value of the parameter at a path."""
     return find(model, path).value(model)
 
 
@@ -379,10 +380,9 @@ def _suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def replace(model: Module, values: Mapping[str, Any]) -> Module:
-    """The model with the parameters at some paths replaced; the model itself is unchanged.
+    """Return the model with the parameters at some paths replaced; the original is unchanged.
 
     An optional parameter that the model leaves out is switched on.
-
     Example:
         >>> import giajax
         >>> arm = giajax.takeichi_20m()
@@ -394,22 +394,22 @@ def replace(model: Module, values: Mapping[str, Any]) -> Module:
         parameter = absent[path] if path in absent else find(model, path)
         counted |= parameter.any_number
         model = parameter.set(model, value)
-    # Numbers of elements must suit each other once all of them are replaced.
+    # The numbers of elements are checked for consistency after all of them are replaced.
     return checked(model) if counted else model
 
 
 def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
-    """The model with what belongs to some names as another of its kind has it, or leaves it out.
+    """Return the model with the named parts as in another model of its kind, or left out as there.
 
-    A name is a path, that of a group (`camera`), or the end of one (`wind` for `air.wind`).
+    A name is a path, the path of a group (`camera`), or the end of one (`wind` for `air.wind`).
 
     Raises:
-        InputError: neither of them has something of a name.
+        InputError: neither model has anything of a name.
     """
     unknown = set(names)
 
     def of(path: str, ours: Any, theirs: Any) -> Any:
-        """A part or a parameter at a path; a part that one of them lacks is None here."""
+        """Return the part or parameter at a path; it is None if a model does not have it."""
         hits = {name for name in names if path and f".{path}".endswith(f".{name}")}
         if hits:
             unknown.difference_update(hits)
@@ -430,7 +430,7 @@ def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
             if DECLARED in field.metadata or parts:
                 new = of(".".join(filter(None, (path, inside))), one, another)
                 changed |= {} if new is one else {field.name: new}
-        # A class with an `__init__` of its own cannot be made again by its fields.
+        # Only if changed: a class with its own `__init__` cannot be made again from its fields.
         return dataclasses.replace(ours, **changed) if changed else ours
 
     found = of("", model, other)
@@ -445,7 +445,7 @@ def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
 
 
 def switched_on(model: Module, paths: Iterable[str]) -> Module:
-    """The model in which none of the paths is left out; those that were have their defaults."""
+    """Return the model with all these paths; those that were left out have their defaults."""
     for path in paths:
         if (absent := left_out(model).get(path.partition("[")[0])) is not None:
             model = absent.set(model, absent.declaration.default)
@@ -453,25 +453,24 @@ def switched_on(model: Module, paths: Iterable[str]) -> Module:
 
 
 def check_count(model: Module, path: str, value: Any) -> None:
-    """Refuse values for a parameter that are neither one nor one for each of its elements.
+    """Refuse values for a parameter unless there is one, or one for each of its elements.
 
     Raises:
-        InputError: naming the parameter and both numbers.
+        InputError: the number is wrong; the message names the parameter and both numbers.
     """
     size, count = np.size(value), len(elements(model, path))
     if size not in (1, count) and not find(model, path).any_number:
         raise InputError(
             f"{path} is set to {size} values, but has {count} element{'s' * (count != 1)}: give "
-            f"one "
-            "value, or one for each element"
+            "one value, or one for each element"
         )
 
 
 def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> None:
-    """Refuse a value outside the bounds; a free parameter must lie strictly inside.
+    """Refuse a value outside the bounds; a free parameter must be strictly inside.
 
     Raises:
-        InputError: naming the parameter, the value and its bounds.
+        InputError: the value is refused; the message names the parameter, value and bounds.
     """
     declaration = parameter.declaration
     lower, upper = declaration.lower, declaration.upper
@@ -487,5 +486,5 @@ def check_within_bounds(parameter: Parameter, value: float, *, free: bool) -> No
 
 
 def is_concrete(value: Any) -> bool:
-    """Whether a value is known now, not while a program is being traced."""
+    """Return whether a value is known, rather than traced by JAX."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))

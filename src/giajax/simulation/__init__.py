@@ -1,4 +1,4 @@
-"""Motion over time: inputs, integration by diffrax or `springs5`, and its result.
+"""Simulation of motions: inputs, integration with diffrax or `springs5`, and trajectories.
 
 `springs5` is a linearly implicit additive Runge-Kutta method of order 5 (docs/solvers.md).
 """

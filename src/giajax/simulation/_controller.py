@@ -1,6 +1,6 @@
-"""Step-size control: steps that derivatives survive, too, and an end to a motion that cannot go on.
+"""Step-size control for accurate derivatives, which also stops a motion that cannot continue.
 
-Where such steps are needed, and why, stands in `_disturbances`.
+The comments in `_simulate` explain when and why derivatives require such steps.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ from ._motion import Inputs, Rates, State, fastest_rate, turns
 from ._signal import last_before
 from ._solvers import with_tolerances
 
-# Length of a step, times the rate of the motion, that a method is stable with: where its stability
-# function reaches 1 for an oscillation with 1 % of critical damping.
+# Largest stable product of step size and rate of the motion: the stability function reaches 1 for
+# an oscillation with 1 % of critical damping.
 _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     diffrax.Tsit5: 2.0,
     diffrax.Dopri5: 2.0,
@@ -27,15 +27,17 @@ _STABLE: dict[type[diffrax.AbstractSolver], float] = {
     diffrax.Heun: 0.5,
     LinearlyImplicit: 2.0,
 }
-_LEAST = 0.5  # of other explicit methods
+_LEAST = 0.5  # for other explicit methods
 
-_SHORT, _LATE = 0.05, 0.9  # turns before the one part of a step and after the other are left in it
+# Turns before the first and after the second of these fractions of a step are not treated.
+_SHORT, _LATE = 0.05, 0.9
 
-# How far a step that is done again goes beyond the turn, so that the next one begins after it: the
-# derivatives of its first stage would be those of before the turn otherwise.
+# Factor by which a repeated step extends beyond the turn, so that the next step begins after it.
+# Otherwise the derivatives of the first stage of the next step would be those before the turn.
 _BEYOND = 1.04
 
-# Part of the tolerance that a joint has to move by in a step for its turn to count.
+# Minimum movement of a joint in a step, as a fraction of the tolerance, for which its turn is
+# treated.
 _LEAST_MOVE = 0.01
 
 
@@ -51,18 +53,20 @@ def step_size_controller(
     mobility: Float[Array, "joint joint"] | None = None,
     inner: diffrax.AbstractAdaptiveStepSizeController | None = None,
 ) -> diffrax.AbstractStepSizeController:
-    """Control to the tolerances that steps neither over a corner nor too far, and never hangs.
+    """Return an error controller with a step limit for stability that crosses no corner.
 
     Arguments:
-        solver, rtol, atol: the integration method and the tolerances of its steps.
-        corners: times that no step may cross, s; those that are infinite are none.
-        bends: times of which a step that would cross some ends at the last, s.
-        rates: of what a derivative may set swinging; None where the motion alone counts.
-        turns: whether the equation of motion has a corner where a joint turns round.
-        mobility: inverse of the mass matrix, 1/(kg m^2), where springs may become stiffer in the
-            motion than they are by `rates`.
-        inner: what controls the steps to the tolerances in place of `diffrax.PIDController`; its
-            own are replaced.
+        solver, rtol, atol: integration method, and relative and absolute tolerance of a step.
+        corners: times that no step may cross, s; infinite entries are ignored.
+        bends: times at which steps end if possible, s: a step that would cross some of them ends at
+            the last of these.
+        rates: rates of the motions that a derivative may excite; None if only the accuracy of the
+            motion matters.
+        turns: whether the equation of motion has a corner where a joint reverses its direction.
+        mobility: inverse of the mass matrix, 1/(kg m^2), if springs may become stiffer during the
+            motion than `rates` assumes.
+        inner: adaptive controller that replaces `diffrax.PIDController`; its tolerances are
+            replaced.
     """
     slowness = stable = jnp.full((), jnp.inf)
     length = jnp.inf
@@ -83,11 +87,11 @@ def step_size_controller(
 
 
 class _Careful(diffrax.AbstractAdaptiveStepSizeController):
-    """Keeps steps stable, and ends at a rejected step that cannot be made smaller.
+    """Controller that keeps steps stable, and stops at a rejected step that cannot be reduced.
 
-    Where the motion is infinite or NaN, diffrax rejects ever smaller steps up to the step limit.
-    `PIDController(dtmin=...)` would end at accepted steps, too, and those may be as short as
-    the distance between two corners that differ by rounding.
+    If the motion becomes infinite or NaN, diffrax rejects ever smaller steps up to the step limit.
+    `PIDController(dtmin=...)` would also stop at accepted steps, which may be as short as the
+    distance between two corners that differ by rounding.
     """
 
     rtol: Any
@@ -99,7 +103,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
     bends: Array
     turns: bool = eqx.field(static=True)
     length: float = eqx.field(static=True)
-    """Of a step, times the rate of springs; infinite where they are implicit."""
+    """Product of step size and rate of the springs; infinite if the springs are implicit."""
     mobility: Array | None
 
     def __init__(
@@ -113,7 +117,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         mobility: Array | None,
     ) -> None:
         self.controller = controller
-        # An implicit solver takes its own tolerances from here.
+        # An implicit solver takes its tolerances from here.
         self.rtol, self.atol, self.norm = controller.rtol, controller.atol, controller.norm
         self.longest, self.slowness, self.bends, self.turns = longest, slowness, bends, turns
         self.length, self.mobility = length, mobility
@@ -131,7 +135,7 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         return jnp.minimum(t1, t0 + self._limits(t0, y0, args)[0]), state
 
     def _limits(self, time: Any, state: State, inputs: Inputs) -> tuple[Array, Array]:
-        """`longest` and `slowness` of a step that begins here, s."""
+        """Return `longest` and `slowness` of a step that starts here, s."""
         if self.mobility is None:
             return self.longest, self.slowness
         time = jnp.minimum(time, inputs.end)
@@ -159,28 +163,29 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
         if self.turns:
             least = _LEAST_MOVE * jnp.maximum(self.rtol, self.atol)
             end = t0 + _BEYOND * first_turn(t1 - t0, y0, y1_candidate, least) * (t1 - t0)
-            # Of a step that fails by itself, too, no more than what its error allows.
+            # If the step is rejected by its error as well, the new step is no longer than its error
+            # allows.
             crossed = (end < t1) & (keep | (end < next_t1)) & (end - t0 > _ulps(t1))
             keep = keep & ~crossed
             next_t0 = jnp.where(crossed, t0, next_t0)
             next_t1 = jnp.where(crossed, end, next_t1)
-        # At rest nothing but the tolerance limits how long a step may be for the derivatives to be
-        # as exact as the motion: an oscillation of size 1 would ask for about this.
+        # At rest, only this limit keeps the derivatives as accurate as the motion. It is about the
+        # step size for an oscillation of amplitude 1.
         tolerance = jnp.maximum(self.rtol, self.atol)
         begin = y0 if self.mobility is None else jnp.where(keep, y1_candidate, y0)
         stable, slowness = self._limits(next_t0, begin, args)
         exact = 25 * tolerance ** (1 / error_order) * slowness
-        resting = jnp.all(jnp.abs(y_error) <= 1e-5 * tolerance)  # but for rounding
+        resting = jnp.all(jnp.abs(y_error) <= 1e-5 * tolerance)  # except for rounding
         longest = jnp.where(resting, jnp.minimum(exact, stable), stable)
         next_t1 = jnp.minimum(next_t1, next_t0 + longest)
-        # Steps from bend to bend have their bends at the same places however the last bits of the
-        # motion fall: elsewhere each error, and with it each next step, would depend on those.
+        # If steps end at bends, their ends do not depend on rounding errors of the motion.
+        # Otherwise each error, and with it each next step, would depend on them.
         bend = self.bends[last_before(self.bends, next_t1)]
         crossed = (bend < next_t1) & (bend > next_t0 + 0.01 * (next_t1 - next_t0))
         next_t1 = jnp.where(crossed, bend, next_t1)
 
         shortest = _ulps(t1)
-        # Written so that it holds for a NaN, too.
+        # Written such that it is also true for NaN.
         stuck = ~keep & ~(next_t1 - next_t0 > shortest)
         code = diffrax.RESULTS.where(
             jnp.all(jnp.isfinite(y_error)),
@@ -192,18 +197,19 @@ class _Careful(diffrax.AbstractAdaptiveStepSizeController):
 
 
 def _ulps(time: Any) -> Any:
-    """What a step is longer than, s."""
+    """Return the minimum length of a step, s."""
     return 4 * jnp.finfo(jnp.result_type(time)).eps * jnp.abs(time)
 
 
 def first_turn(
     step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"], least: Any
 ) -> Scalar:
-    """Part of a step (s) after which the first joint turns round; 1 if none does well within it.
+    """Return the fraction of a step (s) after which the first joint reverses its direction.
 
-    A joint that moves by less than `least` (rad) in the step is at rest.
+    The fraction is 1 if no joint reverses well within the step. A joint that moves by less than
+    `least` (rad) in the step is considered at rest.
     """
-    # The time of a step's end is no part of what is differentiated.
+    # The end of a step is not differentiated.
     part = jax.lax.stop_gradient(turns(step, y0, y1))[0]
     moves = step * jnp.maximum(jnp.abs(y0[1]), jnp.abs(y1[1])) > least
     within = moves & (part > _SHORT) & (part < _LATE)

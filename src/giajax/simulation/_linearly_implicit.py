@@ -1,8 +1,9 @@
 """`springs5`, a linearly implicit additive Runge-Kutta method of order 5.
 
-One more factorisation a step, and no iteration but where joints remember their way: between two
-accurate steps of an explicit method stiff springs force many that are merely stable. Here the
-springs and dampers of the joints and what pulls at them are implicit, and nothing else is.
+Stiff springs force an explicit method to take many steps for stability between two steps for
+accuracy. Here the springs and dampers of the joints and the inputs that act on them are implicit,
+and all other terms are explicit. A step requires one additional factorisation. It requires no
+iteration, unless joints have hysteresis.
 """
 
 from collections.abc import Callable
@@ -28,14 +29,14 @@ from ._motion import Springs, resistance
 
 
 class Tableau(NamedTuple):
-    """The coefficients of an additive Runge-Kutta method as a W-method.
+    """Coefficients of an additive Runge-Kutta method as a W-method.
 
     Attributes:
-        combine: of which slopes h f(Y) and h J (Y - y0) of each stage a stage is made, shape
-            (stage, stage, 2), the first being the start and the last the end of the step.
-        times: of the stages, as fractions of the step.
-        error: of which slopes the error of the step is made.
-        gamma: the diagonal of the implicit method.
+        combine: weights of the slopes h f(Y) and h J (Y - y0) of each stage in each stage, shape
+            (stage, stage, 2); the first row is the start and the last row the end of the step.
+        times: times of the stages, as fractions of the step.
+        error: weights of the slopes in the error estimate of the step.
+        gamma: diagonal entry of the implicit method.
     """
 
     combine: np.ndarray
@@ -45,10 +46,10 @@ class Tableau(NamedTuple):
 
 
 def tableau() -> Tableau:
-    """The coefficients of ARK5(4)8L[2]SA."""
+    """Return the coefficients of ARK5(4)8L[2]SA."""
     explicit, implicit = diffrax.KenCarp5.tableau.tableaus
     combine = _rows(explicit)
-    # The rows of both have the same sums, so that J y0 drops out of their difference.
+    # The rows of both matrices have the same sums, so J y0 cancels in their difference.
     springs = _rows(implicit) - combine
     gamma = float(springs[1, 1])
     np.fill_diagonal(springs, 0)
@@ -61,7 +62,7 @@ def tableau() -> Tableau:
 
 
 def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
-    """The matrix of a method as a square, and below it the weights of the end of the step."""
+    """Return the matrix of a method as a square, with the weights of the end of the step below."""
     size = len(tableau.b_sol)
     matrix = np.zeros((size + 1, size + 1))
     for row, lower in enumerate((*tableau.a_lower, tableau.b_sol), start=1):
@@ -71,11 +72,11 @@ def _rows(tableau: diffrax.ButcherTableau) -> np.ndarray:
     return matrix
 
 
-_POINTS = 3  # more of them guess worse: stages are out of order in time
+_POINTS = 3  # more points extrapolate worse, because stages are not ordered in time
 
 
 def _extrapolation(times: np.ndarray) -> np.ndarray:
-    """Of which earlier stages the first guess of each one is made, by a polynomial in time."""
+    """Return the weights of earlier stages in the initial guess of each, a polynomial in time."""
     weights = np.zeros((len(times), len(times)))
     for stage in range(1, len(times)):
         near = np.argsort(np.abs(times[:stage] - times[stage]), kind="stable")[:_POINTS]
@@ -88,10 +89,10 @@ State = Float[Array, "row joint"]
 
 
 class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
-    """Angles by the polynomial through angles, rates and accelerations at both ends of a step.
+    """Quintic interpolation of the angles from angles, rates and accelerations at both ends.
 
-    The rates are its slope. Both are of the fifth order, as the method is; the interpolation that
-    Kennedy and Carpenter give is of the third. States beside these are cubic.
+    The rates are its derivative. Both are of order 5, like the method. The interpolation of Kennedy
+    and Carpenter is of order 3. Further states are interpolated by cubics.
     """
 
     t0: Scalar  # type: ignore[misc]
@@ -102,18 +103,18 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
     f1: State
 
     def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> State:
-        """The state at a time, or the change between two."""
+        """Return the state at one time, or its change between two times."""
         del left
         if t1 is not None:
             return self.evaluate(t1) - self.evaluate(t0)
         step = self.t1 - self.t0
-        # A step of no length occurs between corners that differ by rounding.
+        # A step of zero length occurs between corners that differ by rounding.
         step = jnp.where(step == 0, 1, step)
         x = (t0 - self.t0) / step
         start, end = self.y0[0], self.y1[0]
         v0, v1 = step * self.y0[1], step * self.y1[1]
         a0, a1 = step**2 * self.f0[1], step**2 * self.f1[1]
-        # What is left to reach at the end after a motion with the acceleration of the start.
+        # Remaining differences at the end after a motion with the acceleration of the start.
         angle, rate, bend = end - start - v0 - a0 / 2, v1 - v0 - a0, a1 - a0
         c3 = 10 * angle - 4 * rate + bend / 2
         c4 = -15 * angle + 7 * rate - bend
@@ -132,64 +133,71 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
 
-# Slopes of all stages, state and slope of the last one, and how far the worst is from its solution.
+# Slopes of all stages, state and slope of the last stage, and the largest residual of a stage.
 Stages = tuple[Array, State, State, Scalar]
 
-# Of a stage: iterations, what the last one moved, what a next one would, and the rates.
+# State of the iteration of a stage: number of iterations, size of the last correction, expected
+# size of the next correction, and the rates.
 _Search = tuple[Array, Array, Array, Array]
 
-# The embedded method is so near to the method itself that its difference understates the error;
-# with these a tolerance means about the same error of an arm's motion as with Tsit5. The second is
-# that of further states, which have corners, and of all that moves among obstacles.
+# The embedded method is so close to the method itself that their difference underestimates the
+# error. With these factors a tolerance leads to about the same error of an arm's motion as with
+# Tsit5. The second factor applies to further states, which have corners, and to the whole state if
+# the arm has obstacles.
 _CAUTION, _CAUTION_AT_CORNERS = 100.0, 10.0
 
-# Of what joints resist by their way, as the angle by which they bear it: joints that swing fast and
-# hardly move turn round more often than a long step sees, and each turn leaves something behind.
+# Factor for the rate-independent states, whose error is converted to the angle by which the joint
+# bears it. Joints that oscillate fast with small amplitude reverse more often than a long step
+# resolves, and each reversal leaves an error.
 _CAUTION_AT_TURNS = 300.0
 
-# A stage is solved where a next iteration would move no joint by more, rad, or by more than
-# rounding. Where that is not so after as many, and it would move one far, the step is too long.
+# A stage is solved if the next iteration would move no joint by more than the first value, rad, or
+# by more than rounding. If this is not reached after the maximum number of iterations, and the next
+# iteration would move a joint by more than the second value, the step is rejected.
 _NEAR, _FAR, _MOST = 1e-8, 1e-6, 10
 _ROUNDING = 16
 
-# The error of a rate counts as the angle that it makes within a stage, or at least within a frame
-# of a camera (s). By itself it would decide the step alone: fast joints at the tip swing at rates
-# that hardly move the arm. After an impact the rate is what is wrong: among obstacles it counts as
-# much as the angle.
+# The error of a rate is multiplied by the time of a stage, or at least by the duration of a camera
+# frame (s), and then treated as an error of an angle. Unscaled, it would dominate the step size,
+# because light joints at the tip oscillate at high rates that hardly move the arm. After an impact
+# the rates have the largest error, so with obstacles they have the same weight as the angles.
 _FRAME = 0.03
 
 
 class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
-    """ARK5(4)8L[2]SA of Kennedy and Carpenter with the joints' springs as its implicit part.
+    """ARK5(4)8L[2]SA of Kennedy and Carpenter with implicit springs and dampers of the joints.
 
-    The equation y' = f(t, y) is split, again in each step, into J y + g(t), implicit, and the rest,
-    explicit, with J = [[0, 1], [-M^-1 K, -M^-1 D]] of the mass matrix, stiffness and damping at
-    the start of the step, and g = [0, M^-1 (tau(t) - tau(t0))] of the torque with which commands
-    and drives pull. Of a stiff spring that follows its command, both ends must be in one part:
-    what is left of it is its deflection, and small. The method keeps its order 5 for every split,
-    hence for every J and g: it is a W-method, of which the time is one more component of the
-    state. The implicit part being linear in the state, a stage is one solution with one matrix,
-    M + gamma h D + (gamma h)^2 K, which is factorised once a step.
+    In each step the equation y' = f(t, y) is split into an implicit part J y + g(t) and the
+    explicit remainder. Here J = [[0, 1], [-M^-1 K, -M^-1 D]] consists of the mass matrix, stiffness
+    and damping at the start of the step, and g = [0, M^-1 (tau(t) - tau(t0))] of the torque due to
+    commands and drives. For a stiff spring that follows its command, both ends of the spring must
+    be in the same part, so that only its small deflection remains. The method keeps its order 5 for
+    each split, and thus for any J and g: it is a W-method, in which time is a further component of
+    the state. Because the implicit part is linear in the state, each stage is the solution of a
+    linear system with the same matrix, M + gamma h D + (gamma h)^2 K, which is factorised once per
+    step.
 
-    Where laws of joints have states z, or pressures lag, J has their slopes, too: of the torque by
-    z, and of dz/dt by z and by the rate. Each state depends on its own joint alone, so that it
-    drops out of the matrix and adds to the damping. What supplies pressures is explicit. Contact
-    adds its stiffness and damping, which couple the joints, and the skin of links that stick.
-    Torques by the way of the joints alone (`resistance`) are implicit without being linear: a stage
-    is found by Newton's method then, and each of its steps has a matrix of its own.
+    If laws of joints have states z, or pressures lag, J also contains their derivatives: of the
+    torque with respect to z, and of dz/dt with respect to z and the rate. Each state depends only
+    on its own joint, so it is eliminated from the matrix and adds to the damping. The supply of
+    pressures is explicit. Contact adds its stiffness and damping, which couple the joints, and the
+    skin of sticking links. Rate-independent torques of the joints (`resistance`) are implicit but
+    nonlinear. In this case each stage is solved by Newton's method, and each iteration has its own
+    matrix.
 
-    Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients
-    are those of `diffrax.KenCarp5`.
+    Source: Kennedy and Carpenter, Applied Numerical Mathematics 44 (2003) 139; the coefficients are
+    taken from `diffrax.KenCarp5`.
 
     Attributes:
-        springs: mass matrix (kg m^2), stiffness (N m/rad) and damping (N m s/rad) of the joints
-            from time, state and arguments.
-        pull: torque of the joints (N m) from time, state and arguments; where the state is that
-            at the start of a step, its change is that of commands and drives alone.
+        springs: function of time, state and arguments that returns the mass matrix (kg m^2),
+            stiffness (N m/rad) and damping (N m s/rad) of the joints.
+        pull: function of time, state and arguments that returns the torque of the joints (N m). For
+            the state at the start of a step, its change with time is due to commands and drives
+            only.
         reverse: whether a step can be differentiated in reverse mode, which compiles the equation
             of motion twice.
-        resistance: torque of the joints (N m) that depends on their way alone, from time, state and
-            arguments; None where there is none. It is implicit without being linear.
+        resistance: function of time, state and arguments that returns the rate-independent torque
+            of the joints (N m), or None if there is none. It is implicit but nonlinear.
     """
 
     springs: Callable[[Any, State, Any], Springs]
@@ -201,17 +209,17 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     interpolation_cls: ClassVar[Any] = QuinticInterpolation
 
     def order(self, terms: Any) -> int:
-        """Order of the method; the one embedded for the error is one lower."""
+        """Return the order of the method; the embedded method has an order one lower."""
         del terms
         return 5
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: State, args: Any) -> Carried:
-        """Nothing carried from a step before."""
+        """Return the state before the first step, without a slope."""
         del terms, t0, t1, args
         return jnp.asarray(False), jnp.zeros_like(y0)
 
     def func(self, terms: Any, t0: Any, y0: State, args: Any) -> State:
-        """The slope at one time."""
+        """Return the slope at one time."""
         return terms.vf(t0, y0, args)
 
     def step(
@@ -224,49 +232,50 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         solver_state: Carried,
         made_jump: Any,
     ) -> tuple[State, State, dict[str, State], Carried, Any]:
-        """One step."""
+        """Perform one step."""
         step = t1 - t0
-        # A step of no length occurs between corners that differ by rounding.
+        # A step of zero length occurs between corners that differ by rounding.
         length = jnp.where(step == 0, 1, step)
         *arrays, gamma = tableau()
         combine, times, error = (jnp.asarray(array, y0.dtype) for array in arrays)
         end = len(times) - 1
         guess = jnp.asarray(_extrapolation(tableau().times), y0.dtype)
-        # The order holds for every J, so that of the equation for a derivative holds with J
-        # taken for a constant, too: that equation has J again, and terms that are not stiff.
+        # The order holds for any J. The same is true of the equation of a derivative if J is
+        # treated as a constant, because that equation has the same J and further terms that are not
+        # stiff.
         scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
         pull_before, resisted = self.pull(t0, y0, args), self.resistance(t0, y0, args)
         solve, factorised = self._solver(scale, springs, linear=resisted is None)
         known, slope = solver_state
-        # The slope at the start, which is that at the end of the step before as a rule, is that of
-        # stage 0: in the loop of all stages the equation of motion is compiled once. A loop whose
-        # length is not known cannot be differentiated in reverse mode.
-        anew = eqxi.unvmap_any(made_jump | ~known)  # of a batch, all do, if one has to
+        # The slope at the start, usually that at the end of the previous step, is the slope of
+        # stage 0. If it is computed in the loop over all stages, the equation of motion is compiled
+        # once. A loop whose length is unknown cannot be differentiated in reverse mode.
+        anew = eqxi.unvmap_any(made_jump | ~known)  # if one of a batch does, all do
         begin: Any = jnp.where(anew, 0, 1)
         if self.reverse:
             begin = 1
             slope = jax.lax.cond(anew, lambda: terms.vf(t0, y0, args), lambda: slope)
 
         def resist(rates: Array, given: Any) -> Array:
-            """What resists more than at the start of the step, at the angles that rates lead to."""
+            """Return the change of the resisting torque since the start of the step."""
             known, _, time, y0, args, before = given
             moved = known.at[0].add(scale * rates).at[1].set(rates)
             return self.resistance(time, y0 + moved, args) - before
 
         def slope_at(rates: Array, given: Any) -> tuple[Array, Array]:
-            """What resists at rates, without what is linear of it, and that: as a damper is."""
+            """Return the nonlinear part of the resisting torque, and its linear damping."""
             torque, softening = jax.jvp(
                 lambda x: resist(x, given), (rates,), (jnp.ones_like(rates),)
             )
-            # One that drives is left out, of which the matrix need not be positive: the derivatives
-            # of such a stage are near.
+            # A negative damping is omitted, because the matrix might then not be positive definite.
+            # The derivatives of such a stage are approximate.
             damper = jax.lax.stop_gradient(jnp.maximum(-softening, 0))
             return torque + damper * rates, damper
 
         solved = max(_NEAR, _ROUNDING * float(jnp.finfo(y0.dtype).eps))
 
         def found(rates: Array, given: Any) -> tuple[State, Scalar]:
-            """A stage with what resists by the way of the joints, and how far off it is, rad."""
+            """Return a stage with rate-independent torques, and its remaining error, rad."""
             stopped = jax.lax.stop_gradient(given)
 
             def better(carried: _Search) -> _Search:
@@ -275,20 +284,20 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 pulled = stopped[1] + torque
                 then = solve(stopped[0], pulled, damper, factorised(damper))[1]
                 moved = jnp.max(jnp.abs(scale * (then - rates)))
-                # What a next step would move is less by as much again, at least. (Another step with
-                # the same matrix would be cheaper, and finds solutions on the wrong side of turns:
-                # derivatives of a run are wrong by a hundred times as much then.)
+                # The next correction is smaller by at least the same factor. (Another iteration
+                # with the same matrix would be cheaper, but it finds solutions on the wrong side of
+                # turns. The errors of the derivatives of a run are then a hundred times larger.)
                 return count + 1, moved, moved * jnp.minimum(moved / before, 1), then
 
             far = jnp.asarray(jnp.inf, y0.dtype)
             least = jnp.full_like(far, jnp.finfo(y0.dtype).tiny)
-            # The first one outside of the loop, which saves a tenth of the time of a run.
+            # The first iteration is outside of the loop, which saves a tenth of the time of a run.
             begun = better((jnp.asarray(0), least, far, jax.lax.stop_gradient(rates)))
             *_, left, rates = jax.lax.while_loop(
                 lambda carried: (carried[0] < _MOST) & (carried[2] > solved), better, begun
             )
-            # Its derivatives are those of one more step, and have to be taken where the equation of
-            # motion has its own: beyond a turn they are others.
+            # The derivatives of a stage are computed by one more iteration. They must be evaluated
+            # where the equation of motion is evaluated, because they differ beyond a turn.
             rates = jax.lax.stop_gradient(rates)
             damper = slope_at(rates, stopped)[1]
             torque = resist(rates, given) + damper * rates
@@ -297,10 +306,11 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         def advance(stage: Any, carried: Stages) -> Stages:
             parts, _, _, off = carried
             known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
-            # Not beyond the end by rounding, where the next piece of the command may start.
+            # Rounding must not move the time beyond the end, where the next piece of the command
+            # may start.
             time = jnp.minimum(t0 + times[stage] * step, t1)
             pull = self.pull(time, y0, args) - pull_before
-            # The end of the step is a sum, not a stage.
+            # The end of the step is a weighted sum rather than a stage.
             if resisted is None:
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))
             else:
@@ -344,16 +354,18 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
     def _solver(
         scale: Scalar, springs: Springs, linear: bool
     ) -> tuple[Callable[..., State], Callable[[Array], Array]]:
-        """What solves (1 - scale J) x = b + scale g, of b and the torque in g.
+        """Return functions that solve (1 - scale J) x = b + scale g and factorise the matrix.
 
-        Where that is not `linear`, J has further dampers (N m s/rad) each time, and the second of
-        both gives the factor of its matrix. Of rates that are known, x has its derivatives alone.
+        The first function takes b and the torque in g. If the problem is not `linear`, J has
+        additional dampers (N m s/rad) in each call, and the second function returns the factor of
+        the matrix with these dampers. If the rates are given as `known`, only the derivatives of x
+        are computed from the system.
         """
         mass, stiffness, damping, strain, contact, _ = springs
         spring = scale * stiffness
         damper = scale * (damping + spring)
         if strain is not None:
-            # Of each state: x = kept (b + scale filling rate).
+            # For each state: x = kept (b + scale filling rate).
             kept = 1 / (1 + scale * strain.forgetting)
             torque = scale * strain.torque * kept
             damper = damper + jnp.sum(torque * scale * strain.filling, axis=0)
@@ -367,7 +379,8 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 stretching = scale * contact.skin * sticking.T
                 resisting = resisting + stretching @ (scale * sticking)
             matrix = matrix + resisting
-        # Seven stages, and as many for each derivative: products are cheaper than solutions.
+        # There are seven stages, and as many for each derivative, so products with the inverse are
+        # cheaper than solutions.
         inverse = inverse_of_positive(matrix) if linear else matrix
 
         def solve(
@@ -406,7 +419,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
 
 @jax.custom_jvp
 def _known(rates: Array, factor: Array, held: Array, begin: Array) -> Array:
-    """What begin - A^-1 held is known to be, with its derivatives by both; A = L L^T."""
+    """Return the known value of begin - A^-1 held, with its derivatives; A = L L^T."""
     del factor, held, begin
     return rates
 

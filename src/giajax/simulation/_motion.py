@@ -1,4 +1,4 @@
-"""The equation of motion as integrators see it, and the part of it that makes it stiff."""
+"""Equation of motion as used by integrators, and its stiff part."""
 
 import dataclasses
 import functools
@@ -28,7 +28,7 @@ from ._signal import Followed, Pressures, Signal
 
 
 class Rates(NamedTuple):
-    """Rates (1/s) of the fastest motions of an arm: of all, and of those that are not implicit."""
+    """Rates (1/s) of the fastest motions of an arm: of all, and of those treated explicitly."""
 
     all: Scalar
     explicit: Scalar
@@ -43,27 +43,29 @@ def fastest_rate(
     springs: bool = True,
     mobility: Float[Array, "joint joint"] | None = None,
 ) -> Scalar:
-    """Rate of the fastest motion of springs, dampers, gravity and lags at some angles (rad), 1/s.
+    """Return the rate of the fastest motion due to springs, dampers, gravity and lags, 1/s.
 
-    By default these angles are commanded (rad), and `pressures` (Pa) are those of the controller.
-    Without `springs` (and dampers, and the lag of muscles) that of gravity alone. With the
-    `mobility`, which is the inverse of the mass matrix, a bound of it that costs little.
+    The rate is evaluated at the given angles (rad). The command (rad) defaults to these angles, and
+    the pressures (Pa) default to the pressures of the controller. Without `springs`, only gravity
+    is considered, without springs, dampers and the lag of muscles. With `mobility`, the inverse of
+    the mass matrix, an inexpensive upper bound is returned.
     """
-    # Lengths of steps are no part of what is differentiated.
+    # Step sizes are not differentiated.
     of_these = (arm, angles, command, pressures)
     arm, angles, command, pressures = jax.lax.stop_gradient(of_these)
     if mobility is None:
         factor = jnp.linalg.cholesky(mass_matrix(arm, angles))
 
     def largest(strength: Array) -> Array:
-        """Square root of the largest eigenvalue of M^-1 diag(strength)."""
+        """Return the square root of the largest eigenvalue of M^-1 diag(strength)."""
         roots = jnp.sqrt(jnp.broadcast_to(strength, (arm.count,)))
         if mobility is not None:
             return jnp.sqrt(jnp.max(roots * (jnp.abs(mobility) @ roots)))
         root = jnp.diag(roots)
         return jnp.linalg.norm(jax.scipy.linalg.solve_triangular(factor, root, lower=True), 2)
 
-    # Gravity swings what hangs, too: a bound of its stiffness, from weights times their distances.
+    # Gravity also causes oscillations of a hanging arm. An upper bound of its stiffness is the sum
+    # of the weights times their distances.
     ends = jnp.cumsum(arm.links.length)
     reach = jnp.triu(ends[None, :] - (ends - arm.links.length)[:, None])
     weights = arm.gravity * bodies(arm).mass
@@ -76,7 +78,7 @@ def fastest_rate(
     command = angles if command is None else command
     at = laws.at(angles, jnp.zeros_like(angles), command, pressures=pressures)
     stiffest, (_, damping) = laws.stiffest(at), laws.slopes(at)
-    # What runs away does so as fast as it would swing.
+    # An instability grows as fast as a stable motion would oscillate.
     rate = jnp.hypot(largest(jnp.abs(stiffest) + hanging), largest(jnp.abs(damping)) ** 2)
     if laws.rows:
         of_muscles = arm.joints.further_laws.rows
@@ -87,20 +89,20 @@ def fastest_rate(
 
 
 class Inputs(eqx.Module):
-    """What moves, and what moves it.
+    """The arm and the inputs that move it.
 
     Attributes:
         arm: the arm.
-        command: angles over time that the drives pull towards, rad.
-        wind: velocity of the air over time, m/s, of the whole arm or of link after link, or None
-            for still air.
-        torque: of the joints' drives over time, N m, or None.
-        end: the last time before the end of the motion, s.
-        pressure: supplied to muscles over time, or None where their controller does.
-        begin: the time of a wind field at 0 of all these times, s; None for 0.
-        first: the time at which what drifts has not done so yet, s; None for 0.
-        since: when the step began that the motion is in, s, and the state then, where laws have
-            states by the way alone.
+        command: angles towards which the drives pull over time, rad.
+        wind: velocity of the air over time, m/s, for the whole arm or for each link; None for still
+            air.
+        torque: torque of the joints' drives over time, N m, or None.
+        end: last time before the end of the motion, s.
+        pressure: pressures supplied to muscles over time; None if their controller supplies them.
+        begin: time of a wind field that corresponds to time 0, s; None for 0.
+        first: time at which drifting parameters have their initial values, s; None for 0.
+        since: start time of the current step, s, and the state at that time, if laws have
+            rate-independent states.
     """
 
     arm: Arm
@@ -114,7 +116,7 @@ class Inputs(eqx.Module):
     since: "tuple[Scalar, State] | None" = None
 
     def arm_at(self, time: Any) -> Arm:
-        """The arm as it is by then."""
+        """Return the arm with the drifted parameters at a time."""
         arm, afloat = self.arm, self.arm.buoyancy
         filled = afloat is None or afloat.imbalance_drift is None
         if filled and arm.joints.stiffness_drift is None:
@@ -125,19 +127,19 @@ class Inputs(eqx.Module):
         return dataclasses.replace(arm, joints=arm.joints.at_time(since), buoyancy=lifted)
 
     def parts(self, state: "State") -> "Parts":
-        """What the rows of a state are."""
+        """Split a state into its parts."""
         memory = 2 + self.arm.further_laws.rows
         return Parts(state[0], state[1], state[2:memory], state[memory:])
 
     def follows(self, law: AbstractJointLaw) -> bool:
-        """Whether the states of a law are followed on their way within the step."""
+        """Return whether the states of a law follow the path of its joint within the step."""
         return self.since is not None and law.slides
 
     def followed(self, time: Any, state: "State") -> "State":
-        """The state with what laws have by the way from the beginning of the step alone.
+        """Return the state with rate-independent states updated along the path within the step.
 
-        Joints turned round where the cubic through both ends does. There is no corner of the
-        torque in time: at a turn the rate is 0.
+        The turning points of the joints are computed from the cubic through both ends. The torque
+        has no corner in time, because the rate is 0 at a turning point.
         """
         if self.since is None:
             return state
@@ -150,22 +152,22 @@ class Inputs(eqx.Module):
     def at(
         self, laws: JointLaws, time: Any, angles: Array, rates: Array, states: Array | None
     ) -> JointState:
-        """The joints as laws see them, by default at the beginning of a motion."""
+        """Return the joint states seen by laws; by default at the beginning of a motion."""
         command = self.command(time)
         return laws.at(angles, rates, command, states, self.supplied(time, command))
 
     def supplied(self, time: Any, command: Array) -> Float[Array, "2 joint"] | None:
-        """Pressures (Pa) of the run; None where the controller alone supplies them."""
+        """Return the pressures (Pa) of the run; None if the controller supplies all of them."""
         return None if self.pressure is None else self.pressure.at(self.arm, time, command)
 
     def inside(self, time: Any, memory: Array) -> Float[Array, "2 joint"] | None:
-        """Pressures (Pa) in muscles, where laws have these states; None without muscles."""
+        """Return the pressures (Pa) in the muscles for given states; None without muscles."""
         laws, still = self.arm.further_laws, jnp.zeros(self.arm.count, memory.dtype)
         parts = laws.each(self.at(laws, time, still, still, memory))
         return next((law.inside(own) for law, own in parts if law.takes_pressures), None)
 
     def start(self, state: Float[Array, "2 joint"], time: Scalar) -> "State":
-        """The state at the beginning: nothing is strained, and pressures have settled."""
+        """Return the initial state, in which nothing is strained and the pressures have settled."""
         rows = [state, self.at(self.arm.further_laws, time, state[0], state[1], None).states]
         if self.arm.contact is not None:
             rows.append(jnp.zeros((self.arm.contact.rows, self.arm.count), state.dtype))
@@ -173,12 +175,15 @@ class Inputs(eqx.Module):
 
 
 State = Float[Array, "row joint"]
-"""Angles (rad) and rates (rad/s); where joints remember, or pressures lag, the states of their
-laws; where contacts have friction, the stretch of the skin."""
+"""State of the joints: angles (rad), rates (rad/s), and further states.
+
+These are the states of joint laws with memory and of lagging pressures, and the stretch of the skin
+at contacts with friction.
+"""
 
 
 class Parts(NamedTuple):
-    """The rows of a `State`."""
+    """Parts of a `State`."""
 
     angles: Float[Array, " joint"]
     rates: Float[Array, " joint"]
@@ -187,8 +192,9 @@ class Parts(NamedTuple):
 
 
 def motion(time: Any, state: State, inputs: Inputs) -> State:
-    """Rates and accelerations of the joints, and how fast their other states change."""
-    # A jump at the very end is no part of the motion, and would be bisected for nothing.
+    """Return the rates and accelerations of the joints, and the derivatives of the other states."""
+    # A jump exactly at the end does not belong to the motion, and the step-size control must not
+    # bisect it.
     time = jnp.minimum(time, inputs.end)
     angles, rates, memory, skin = inputs.parts(inputs.followed(time, state))
     arm, wind = inputs.arm_at(time), inputs.wind
@@ -213,10 +219,10 @@ def motion(time: Any, state: State, inputs: Inputs) -> State:
 def turns(
     step: Any, y0: Float[Array, "row joint"], y1: Float[Array, "row joint"]
 ) -> Float[Array, "2 joint"]:
-    """After which parts of a step (s) joints turn round, in order; 1 where they do not.
+    """Return the fractions of a step (s) after which joints reverse, in order; 1 for no reversal.
 
-    By the cubic through angles (rad) and rates (rad/s), the first two rows of the states at both
-    ends, which turns twice at most.
+    They are computed from the cubic through angles (rad) and rates (rad/s), the first two rows of
+    the states at both ends. A cubic has at most two turning points.
     """
     a, b, v0, _ = slopes(step, y0, y1)
     square = b * b - a * v0
@@ -224,7 +230,7 @@ def turns(
     root = jnp.sqrt(jnp.where(two, square, 1))
     far = -(b + jnp.where(b < 0, -root, root))
     parts = []
-    # Both roots without the difference of large numbers.
+    # Both roots are computed without subtracting numbers of similar size.
     for above, below in ((far, a), (v0, far)):
         part = above / jnp.where(below == 0, 1, below)
         parts.append(jnp.where(two & (below != 0) & (part > 0) & (part < 1), part, 1))
@@ -235,41 +241,42 @@ def turns(
 def angle_after(
     part: Float[Array, " joint"], step: Any, y0: Float[Array, "row joint"], y1: Any
 ) -> Float[Array, " joint"]:
-    """Angles (rad) after a part of a step; arguments as of `turns`."""
+    """Return the angles (rad) after a fraction of a step; other arguments are as for `turns`."""
     a, b, v0, _ = slopes(step, y0, y1)
     return y0[0] + part * (v0 + part * (b + part * a / 3))
 
 
 def slopes(step: Any, y0: Any, y1: Any) -> tuple[Array, Array, Array, Array]:
-    """Of the cubic, by the part x of the step: its slope is v0 + 2 b x + a x^2, and v1 at 1."""
+    """Return the cubic's coefficients: slope v0 + 2 b x + a x^2 at fraction x, and v1 at 1."""
     moved, v0, v1 = y1[0] - y0[0], step * y0[1], step * y1[1]
     return 3 * (v0 + v1 - 2 * moved), 3 * moved - 2 * v0 - v1, v0, v1
 
 
 def way_between(step: Any, y0: "State", y1: "State") -> Float[Array, "4 joint"]:
-    """Angles (rad) between which joints moved in one direction; arguments as of `turns`."""
-    # Where an angle is extreme it does not depend on when that was.
+    """Return the angles (rad) between which joints move monotonically; arguments as in `turns`."""
+    # At a turning point the angle does not depend on the time to first order.
     parts = jax.lax.stop_gradient(turns(step, y0, y1))
     corners = [jnp.where(part < 1, angle_after(part, step, y0, y1), y1[0]) for part in parts]
     return jnp.stack([y0[0], *corners, y1[0]])
 
 
 def along_links(arm: Arm, wind: Float[Array, " width"]) -> Array:
-    """A wind as a signal has it, in a row for each link where it differs from link to link."""
+    """Return the wind of a signal with one row per link if it differs between links."""
     return wind if wind.size == 3 else wind.reshape(arm.count, 3)
 
 
 class Springs(NamedTuple):
-    """What of the joints is implicit in one state.
+    """Implicit part of the joint torques in one state.
 
     Attributes:
         mass: mass matrix, kg m^2.
-        stiffness: N m/rad.
-        damping: N m s/rad.
-        memory: of states of the joints' laws, or None.
-        contact: how torques of contact change with the angles and rates of all joints, or None.
-        borne: angle by which a joint bears a unit of each state that depends on its way alone, rad;
-            NaN of others.
+        stiffness: stiffness of the joints, N m/rad.
+        damping: damping of the joints, N m s/rad.
+        memory: derivatives of the states of the joint laws, or None.
+        contact: derivatives of the contact torques with respect to the angles and rates of all
+            joints, or None.
+        borne: angle by which a joint bears a unit of each rate-independent state, rad; NaN for
+            other states.
     """
 
     mass: Float[Array, "joint joint"]
@@ -281,12 +288,12 @@ class Springs(NamedTuple):
 
 
 class Strain(NamedTuple):
-    """How torques and states of the joints' laws depend on each other.
+    """Mutual dependence of the torques and the states of the joint laws.
 
     Attributes:
-        torque: of a unit of each state, against the motion, N m.
+        torque: torque against the motion per unit of each state, N m.
         filling: change of each state with the angle of its joint, 1/rad.
-        forgetting: rate at which each state falls back by itself, 1/s.
+        forgetting: rate at which each state relaxes by itself, 1/s.
     """
 
     torque: Float[Array, "row joint"]
@@ -295,7 +302,7 @@ class Strain(NamedTuple):
 
 
 def springs(time: Any, state: State, inputs: Inputs) -> Springs:
-    """Mass matrix, and the slopes of the torques of the joints alone, in one state."""
+    """Return the mass matrix and the derivatives of the torques of the joints in one state."""
     angles, rates, memory, skin = inputs.parts(state)
     time = jnp.minimum(time, inputs.end)
     arm = inputs.arm_at(time)
@@ -303,7 +310,8 @@ def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     at = inputs.at(laws, time, angles, rates, memory)
     none = (jnp.zeros_like(angles),) * 2
     slopes: Any = [none if inputs.follows(law) else law.slopes(own) for law, own in laws.each(at)]
-    # What runs away is explicit: the matrix of a pair, or of a law, need not be positive definite.
+    # Unstable parts are explicit, because the matrix of a pair of muscles, or of a user-defined
+    # law, need not be positive definite.
     if further := len(arm.joints.laws) + (arm.pneumatics is not None):
         slopes[-further:] = jax.tree.map(lambda x: jnp.maximum(x, 0), slopes[-further:])
     stiffness, damping = (
@@ -326,14 +334,15 @@ def springs(time: Any, state: State, inputs: Inputs) -> Springs:
 
 
 def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
-    """Torque of the joints and their drives in one state, of which the time moves the command."""
+    """Return the torque of the joints and drives in one state; time affects only the command."""
     time = jnp.minimum(time, inputs.end)
-    # The state and the arm are those of the matrices that this goes with, and constants as they
-    # are: a derivative by a stiffness has spring and command in one small term, the deflection.
+    # The state and the arm belong to the matrices of the step and are constants like these. In a
+    # derivative with respect to a stiffness, spring and command are then combined in one small
+    # term, the deflection.
     arm, state = jax.lax.stop_gradient((inputs.arm_at(time), state))
     angles, rates, memory, _ = inputs.parts(state)
     inputs = dataclasses.replace(inputs, arm=arm)
-    # Of the laws those that a command may move: the springs, those of one's own, and muscles.
+    # Only laws that a command may affect are included: the springs, user-defined laws and muscles.
     laws = arm.further_laws
     at = inputs.at(laws, time, angles, rates, memory)
     torque = Spring(arm.spring_stiffness).torque(at)
@@ -343,7 +352,7 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
 
 
 def resistance(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"] | None:
-    """Torque of the laws with states by the way alone, N m; None where there are none."""
+    """Return the torque of the rate-independent laws, N m; None if there are none."""
     laws = inputs.arm.further_laws
     if not inputs.follows(laws):
         return None

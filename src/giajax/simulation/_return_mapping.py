@@ -1,4 +1,4 @@
-"""The return mapping of what slides, at the end of each step of any integration method."""
+"""Return mapping of rate-independent states at the end of each step of any integration method."""
 
 import dataclasses
 from typing import Any
@@ -13,11 +13,11 @@ from ._motion import Inputs, State
 def with_return_mapping(
     solver: diffrax.AbstractAdaptiveSolver, rtol: Any, atol: Any, derivatives: str
 ) -> "_ReturnMapping":
-    """A method whose steps end with the return mapping of what slides.
+    """Return an integration method whose steps end with the return mapping of sliding states.
 
-    Methods that iterate take over the tolerances of a step.
+    Iterative methods use the tolerances of a step.
     """
-    # diffrax does both for a method that it sees.
+    # diffrax does the following two things itself for a solver that is not wrapped.
     if isinstance(solver, diffrax.AbstractRungeKutta) and derivatives == "forward":
         solver = dataclasses.replace(solver, scan_kind="lax")
     if isinstance(solver, diffrax.AbstractImplicitSolver):
@@ -26,7 +26,7 @@ def with_return_mapping(
 
 
 class _Followed(diffrax.AbstractLocalInterpolation):
-    """The interpolation of a method, with what laws have by the way alone up to each time."""
+    """Interpolation of a method, with the rate-independent states updated up to each time."""
 
     t0: Any  # type: ignore[misc]
     t1: Any  # type: ignore[misc]
@@ -34,20 +34,20 @@ class _Followed(diffrax.AbstractLocalInterpolation):
     inputs: Inputs
 
     def evaluate(self, t0: Any, t1: Any | None = None, left: bool = True) -> State:
-        """The state at a time, or the change between two."""
+        """Return the state at one time, or its change between two times."""
         if t1 is not None:
             return self.evaluate(t1) - self.evaluate(t0)
         return self.inputs.followed(t0, self.inner.evaluate(t0, left=left))
 
 
 class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
-    """A method that follows what slides, and whose steps end with its return mapping.
+    """Integration method whose steps end with the return mapping of sliding states.
 
-    States that depend on the way of a joint alone, not on its rate, are held within a step. The
-    torque at each stage is that after the way up to there, with the turn in it if the joint has
-    turned round (`Inputs.followed`), and at the end of the step the states catch up (Moreau's
-    sweeping process; the return mapping of plasticity). The skin of links that slide along an
-    obstacle catches up in the same way, and what that changes is not seen before.
+    Rate-independent states of joints are constant within a step. The torque at each stage is the
+    torque after the path up to this stage, including a reversal of the joint (`Inputs.followed`).
+    At the end of the step the states are updated (Moreau's sweeping process; the return mapping of
+    plasticity). The skin of links that slide along an obstacle is updated in the same way; the
+    effect of this update does not enter the step itself.
 
     Reference: J. C. Simo, T. J. R. Hughes, Computational Inelasticity, Springer 1998, chapter 1.
     """
@@ -99,7 +99,7 @@ class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
         solver_state: Any,
         made_jump: Any,
     ) -> Any:
-        """One step."""
+        """Perform one step."""
         inputs = args
         if args.arm.further_laws.mapped:
             inputs = dataclasses.replace(args, since=(t0, y0))
@@ -111,7 +111,7 @@ class _ReturnMapping(diffrax.AbstractAdaptiveSolver):
 
 
 def _slid(args: Any, state: State) -> State:
-    """The state with the skin of links stretched no further than friction holds it."""
+    """Return the state with the stretch of the skin limited to what friction can hold."""
     contact, parts = args.arm.contact, args.parts(state)
     if contact is None or not parts.skin.size:
         return state

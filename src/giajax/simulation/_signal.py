@@ -1,7 +1,7 @@
-"""Inputs over time: commands of the joints, the velocity of the wind, pressures in muscles.
+"""Inputs over time: commands of the joints, wind velocity, and pressures in muscles.
 
-Both are piecewise linear, with jumps allowed at the knots, so one class serves steps, ramps and
-logged rows. The step-size controller must not step over those knots that are corners.
+All are piecewise linear, with jumps allowed at the knots, so one class represents steps, ramps and
+logged rows. The step-size controller must not step over knots that are corners.
 """
 
 import dataclasses
@@ -27,15 +27,17 @@ from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
 
-_PARTS = 4  # parts of a piece whose ends are compared with the cubic
-_ROUGH = 0.1  # beyond this, as a fraction of the largest value, no tolerance has use for a stretch
+# Number of parts into which a piece is divided for the comparison with a cubic.
+_PARTS = 4
+# Roughness above which no tolerance can accept an interval, as a fraction of the largest value.
+_ROUGH = 0.1
 
 
 def corner_rows(times: np.ndarray, values: np.ndarray, allowed: float) -> np.ndarray:
-    """Rows that remain when those on a straight line between their neighbours are merged.
+    """Return the rows that remain if rows on a straight line between their neighbours are merged.
 
-    From each kept row the band of slopes that pass within `allowed` (in the unit of the values) of
-    every row seen so far narrows until it is empty; the row before that is the next corner.
+    From each kept row, the band of slopes that pass within `allowed` (in the unit of the values) of
+    all following rows is narrowed until it is empty. The row before that is the next corner.
     """
     kept = [0]
     lowest, highest = np.full(values.shape[1], -np.inf), np.full(values.shape[1], np.inf)
@@ -57,13 +59,13 @@ def corner_rows(times: np.ndarray, values: np.ndarray, allowed: float) -> np.nda
 
 
 def roughness(times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """How far a signal is from a cubic around each knot, as a fraction of its largest value.
+    """Return the deviation of a signal from a cubic around each knot, relative to its maximum.
 
-    Stretches of 2, 4, 8, ... pieces are compared with the cubic that fits each best. A knot inside
-    of one is as rough as the smallest stretch that has it in the middle, or any stretch within
-    that. What two knots that are rougher than a tolerance enclose is therefore a cubic to within
-    the tolerance, and hides nothing from a step, however long. Where no stretch has the knot in its
-    middle, as at both ends, it is infinite.
+    Intervals of 2, 4, 8, ... pieces are compared with their best cubic. The roughness of a knot is
+    the deviation of the smallest interval with the knot in its middle, or of any interval inside it
+    if that deviation is larger. Between two knots that are rougher than a tolerance, the signal is
+    therefore a cubic to within the tolerance, so a step of any length misses nothing there. The
+    roughness is infinite if no interval has the knot in its middle, as at both ends.
     """
     rough = np.full(len(times), np.inf)
     size = np.abs(values).max()
@@ -83,7 +85,7 @@ def roughness(times: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _off_cubics(times: np.ndarray, values: np.ndarray, pieces: int, count: int) -> np.ndarray:
-    """Largest distances of stretches of some pieces from their cubics, shape (count,)."""
+    """Return the maximum deviations of intervals of some pieces from cubics, shape (count,)."""
     part = np.arange(_PARTS * pieces + 1)
     piece = np.minimum(part // _PARTS, pieces - 1)
     knot = pieces * np.arange(count)[:, None] + piece
@@ -96,31 +98,32 @@ def _off_cubics(times: np.ndarray, values: np.ndarray, pieces: int, count: int) 
     return np.asarray(np.abs(off).max(axis=(1, 2)))
 
 
-# To compare with every knot takes a few vector instructions; of more than this, some are compared
-# first. By a binary search, derivatives of a simulation take a fifth longer.
+# A comparison with every knot takes a few vector instructions. For more knots than this, a subset
+# is compared first. With a binary search, derivatives of a simulation would take a fifth longer.
 _COMPARE_ALL = 512
 
-# In relative tolerances, how rough a knot may be that steps cross: an arm follows it so little
-# that with 20 the motion of the paper's is as exact as with 3, in up to a third fewer steps (and as
-# with 10, in up to a seventh fewer).
+# Maximum roughness, in units of the relative tolerance, of a knot that steps may cross. An arm
+# responds so weakly that the motion of the paper's arm is as accurate with 20 as with 3, with up to
+# a third fewer steps (and up to a seventh fewer than with 10).
 _CROSSED = 20.0
 
 
 class Signal(eqx.Module):
     """Piecewise linear function of time with values of a fixed width.
 
-    From knot i on, until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`;
-    before the first knot it is `values[0]`.
+    From knot i until the next knot, the value is `values[i] + slopes[i] * (t - times[i])`. Before
+    the first knot it is `values[0]`.
 
-    Derivatives of a simulation by `times` are right where the signal does not jump. By when a jump
-    comes they are incomplete, and no error: those of `steps` and of `zoh` rows are 0.
+    Derivatives of a simulation with respect to `times` are correct if the signal does not jump.
+    With respect to the time of a jump they are incomplete, without an error message: for `steps`
+    and for `zoh` rows they are 0.
 
     Arguments:
-        times: of the knots, increasing, s, shape (knot,).
-        values: just after each knot, shape (knot, width).
-        slopes: after each knot, per second, shape (knot, width).
-        roughness: how far the signal is from a cubic around each knot, as a fraction of its
-            largest value, shape (knot,); infinite where it jumps.
+        times: times of the knots, increasing, s, shape (knot,).
+        values: values just after each knot, shape (knot, width).
+        slopes: slopes after each knot, per second, shape (knot, width).
+        roughness: deviation of the signal from a cubic around each knot, relative to its largest
+            value, shape (knot,); infinite at a jump.
     """
 
     times: Float[Array, " knot"]
@@ -129,26 +132,27 @@ class Signal(eqx.Module):
     roughness: Float[Array, " knot"]
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
-        """Value at a time (s)."""
+        """Return the value at a time (s)."""
         knot = last_before(self.times, time)
         elapsed = larger(time - self.times[knot], 0)
         return self.values[knot] + self.slopes[knot] * elapsed
 
     def rate(self, time: Scalar) -> Float[Array, " width"]:
-        """Rate of change at a time (s), jumps apart; 0 before the first knot."""
+        """Return the slope at a time (s), without jumps; 0 before the first knot."""
         return jnp.where(time >= self.times[0], self.slopes[last_before(self.times, time)], 0)
 
     def corners(self, tolerance: Scalar) -> tuple[Float[Array, " knot"], Float[Array, " knot"]]:
-        """Times (s) of the knots that no step of a relative tolerance may cross, and of the others.
+        """Return the times (s) of the knots that steps may not cross, and of the other knots.
 
-        Each is infinite where a knot is one of the other.
+        `tolerance` is the relative tolerance of a step. Each array contains infinity for the knots
+        of the other.
         """
         corner = self.roughness > _CROSSED * tolerance
         return jnp.where(corner, self.times, jnp.inf), jnp.where(corner, jnp.inf, self.times)
 
     @property
     def jumps(self) -> Bool[Array, ""]:
-        """Whether the signal jumps at one of its knots, by more than rounding."""
+        """Whether the signal jumps at one of its knots by more than rounding."""
         before = self.values[:-1] + self.slopes[:-1] * jnp.diff(self.times)[:, None]
         size = jnp.max(jnp.abs(self.values), initial=0.0)
         return jnp.any(jnp.abs(self.values[1:] - before) > 1e-6 * size)
@@ -159,21 +163,22 @@ class Signal(eqx.Module):
         return self.values.shape[1]
 
 
-# A lag below this (s) is none: no motion shows it, and quotients by it stay finite.
+# A lag below this (s) is treated as zero, because it does not affect the motion and quotients by it
+# must remain finite.
 _NO_LAG = 1e-12
 
 
 class LaggedSignal(eqx.Module):
-    """What follows a signal u with a lag of first order, lag dy/dt = u - y, from rest; exactly.
+    """Exact first-order lag of a signal u: lag dy/dt = u - y, starting from rest.
 
-    After knot k, where u has the slope s, it is u - lag s + c exp(-(t - t_k) / lag). A lag of 0 has
-    the derivative from above, -s; as those of `Signal` by when it jumps, it is incomplete by that
-    of jumps.
+    After knot k, where u has the slope s, the value is u - lag s + c exp(-(t - t_k) / lag). The
+    derivative with respect to a lag of 0 is the derivative from above, -s. At jumps it is
+    incomplete, like the derivative of a `Signal` with respect to the time of a jump.
 
     Arguments:
-        signal: u.
-        lag: of each value, s, shape (width,).
-        transients: the numbers c of each knot, shape (knot, width).
+        signal: signal u.
+        lag: time constant of each value, s, shape (width,).
+        transients: coefficients c of each knot, shape (knot, width).
     """
 
     signal: Signal
@@ -181,7 +186,7 @@ class LaggedSignal(eqx.Module):
     transients: Float[Array, "knot width"]
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
-        """Value at a time (s)."""
+        """Return the value at a time (s)."""
         times = self.signal.times
         knot = last_before(times, time)
         left = self.transients[knot] * _left_over(time - times[knot], self.lag)
@@ -190,29 +195,28 @@ class LaggedSignal(eqx.Module):
 
 
 class SaturatedSignal(eqx.Module):
-    """What drives reach of a signal u that they follow: u / sqrt(1 + saturation u^2).
+    """Angle that drives reach when they follow a signal u: u / sqrt(1 + saturation u^2).
 
     Arguments:
-        signal: u, rad.
-        saturation: one over the square of the angle that is never passed, 1/rad^2, one or one for
-            each value.
+        signal: signal u, rad.
+        saturation: inverse square of the limiting angle, 1/rad^2, one value or one for each column.
     """
 
     signal: Signal | LaggedSignal
     saturation: Float[Array, ""] | Float[Array, " width"]
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
-        """Value at a time (s)."""
+        """Return the value at a time (s)."""
         angle = self.signal(time)
         return angle / jnp.sqrt(1 + self.saturation * angle**2)
 
 
 Followed = Signal | LaggedSignal | SaturatedSignal
-"""What the springs of an arm pull towards, over time."""
+"""Angles towards which the springs of an arm pull, over time."""
 
 
 def followed(signal: Signal, joints: Joints) -> Followed:
-    """What the drives of joints make of a command: it has their gain, then lags, then saturates."""
+    """Apply the gain, the lag and the saturation of the drives to a command, in this order."""
     if joints.drive_gain is not None:
         gain = jnp.broadcast_to(joints.drive_gain, (signal.width,))[None]
         signal = dataclasses.replace(
@@ -224,7 +228,7 @@ def followed(signal: Signal, joints: Joints) -> Followed:
 
 
 def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:
-    """What follows a signal with a lag (s), one or one for each value; without (None) itself."""
+    """Apply a lag (s), one value or one for each column, to a signal; None leaves it unchanged."""
     if lag is None:
         return signal
     lag = jnp.broadcast_to(lag, (signal.width,))
@@ -242,37 +246,37 @@ def lagged(signal: Signal, lag: Array | None) -> Signal | LaggedSignal:
 
 
 def _left_over(elapsed: Array, lag: Array) -> Array:
-    """What is left of a transient after a time, s."""
+    """Return the fraction of a transient that remains after a time, s."""
     there = lag > _NO_LAG
     return jnp.where(there, jnp.exp(-larger(elapsed, 0) / jnp.where(there, lag, 1)), 0)
 
 
 def last_before(times: Float[Array, " knot"], time: Scalar) -> Array:
-    """Index of the last of increasing times, shape (knot,), not after a time; 0 if all are."""
+    """Return the index of the last of increasing times, shape (knot,), not after a time, or 0."""
     count = times.shape[0]
     if count <= _COMPARE_ALL:
         return jnp.maximum(jnp.sum(times <= time) - 1, 0)
     width = int(np.ceil(np.sqrt(count)))
     start = width * jnp.maximum(jnp.sum(times[::width] <= time) - 1, 0)
-    start = jnp.minimum(start, count - width)  # the last slice overlaps the one before
+    start = jnp.minimum(start, count - width)  # the last slice overlaps the previous one
     within = jax.lax.dynamic_slice(times, (start,), (width,))
     return jnp.maximum(start + jnp.sum(within <= time) - 1, 0)
 
 
 def constant(value: Any) -> Signal:
-    """A signal that never changes, of a value of shape (width,); its one knot is at 0 s."""
+    """Return a constant signal of a value of shape (width,); its only knot is at 0 s."""
     value = jnp.atleast_1d(jnp.asarray(value, dtype=jnp.result_type(float)))
     return _signal(np.zeros(1), value[None], np.zeros((1, value.size)))
 
 
 def steps(times: Any, values: Any) -> Signal:
-    """A signal that takes each value at its time and holds it (zero-order hold).
+    """Return a signal that takes each value at its time and holds it (zero-order hold).
 
-    Rows that repeat the one before are left out.
+    Rows that repeat the previous row are omitted.
 
     Arguments:
-        times: strictly increasing, shape (row,), s.
-        values: shape (row, width).
+        times: times of the rows, strictly increasing, shape (row,), s.
+        values: values of the rows, shape (row, width).
     """
     times, values = _rows(times, values)
     changes = np.concatenate([[True], np.any(values[1:] != values[:-1], axis=1)])
@@ -280,16 +284,16 @@ def steps(times: Any, values: Any) -> Signal:
 
 
 def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
-    """A signal that is linear between its rows and holds the last one.
+    """Return a signal that is linear between its rows and holds the last one.
 
-    Rows that lie on a straight line between their neighbours are merged, so that a log at
-    10 Hz of one ramp leaves two corners, not fifty.
+    Rows on a straight line between their neighbours are merged, so a 10 Hz log of a single ramp has
+    two corners rather than fifty.
 
     Arguments:
-        times: strictly increasing, shape (row,), s.
-        values: shape (row, width).
-        tolerance: how far a merged row may lie off the line, as a fraction of the largest value;
-            the default merges rows that were rounded to six digits.
+        times: times of the rows, strictly increasing, shape (row,), s.
+        values: values of the rows, shape (row, width).
+        tolerance: maximum deviation of a merged row from the line, as a fraction of the largest
+            value; the default merges rows that were rounded to six digits.
     """
     times, values = _rows(times, values)
     kept = corner_rows(times, values, tolerance * max(np.abs(values).max(), 1e-300))
@@ -300,15 +304,15 @@ def ramps(times: Any, values: Any, *, tolerance: float = 1e-5) -> Signal:
 
 
 def logged(times: Any, values: Any, interpolation: str = "linear") -> Signal:
-    """A signal through logged rows: `zoh` holds each row until the next, `linear` joins them.
+    """Return a signal of logged rows: `zoh` holds each row until the next, `linear` connects them.
 
     Arguments:
-        times: strictly increasing, shape (row,), s.
-        values: shape (row, width).
+        times: times of the rows, strictly increasing, shape (row,), s.
+        values: values of the rows, shape (row, width).
         interpolation: "zoh" or "linear".
 
     Raises:
-        InputError: another interpolation, or times that do not increase.
+        InputError: the interpolation is unknown, or the times do not increase.
     """
     if interpolation == "zoh":
         return steps(times, values)
@@ -323,7 +327,7 @@ def _signal(
     slopes: np.ndarray,
     rough: np.ndarray | None = None,
 ) -> Signal:
-    """A signal of arrays; each knot is a corner unless `rough` says otherwise."""
+    """Return a signal from arrays; each knot is a corner unless `rough` specifies otherwise."""
     rough = np.full(len(times), np.inf) if rough is None else rough
     parts = (times, values, slopes, rough)
     return Signal(*(jnp.asarray(x, dtype=jnp.result_type(float)) for x in parts))
@@ -347,24 +351,24 @@ def _rows(times: Any, values: Any) -> tuple[np.ndarray, np.ndarray]:
     return times, values
 
 
-# Pressures in the muscles of an arm over time: supplied by a run, or by the controller.
+# Pressures in the muscles of an arm over time, supplied by a run or by the controller.
 
 
 class Pressures(eqx.Module):
-    """Supplied pressures of the muscles of some joints over time.
+    """Pressures supplied to the muscles of some joints over time.
 
     Arguments:
-        signal: Pa, width = twice the number of joints of the arm: the pressures of all first
-            muscles, and then of all second ones. What is of other joints counts for nothing.
-        joints: numbers of the joints that are driven so, from 1 on; the controller drives the
-            other joints with muscles, by their commands.
+        signal: pressures, Pa, width = twice the number of joints of the arm: first all first
+            muscles, then all second muscles. Values for other joints are ignored.
+        joints: numbers of the joints with supplied pressures, from 1; the controller drives the
+            other joints with muscles by their commands.
     """
 
     signal: Signal
     joints: tuple[int, ...] = eqx.field(static=True)
 
     def at(self, arm: Arm, time: Any, command: Float[Array, " joint"]) -> Float[Array, "2 joint"]:
-        """Pressures at a time (s), Pa, where the controller is commanded to angles (rad)."""
+        """Return the pressures at a time (s), Pa; `command` contains the commanded angles (rad)."""
         supplied = self.signal(time).reshape(2, arm.count)
         given, law = np.isin(np.arange(arm.count) + 1, self.joints), arm.further_laws.driven
         if law is None or set(self.joints) >= set(_with_muscles(arm)):
@@ -373,27 +377,27 @@ class Pressures(eqx.Module):
 
 
 def _with_muscles(arm: Arm) -> Sequence[int]:
-    """Numbers of the joints that pressures drive: all of them, where a law of one's own does."""
+    """Return the joints that pressures drive, by number; all joints with a user-defined law."""
     if arm.pneumatics is not None:
         return arm.pneumatics.joints
     return () if arm.further_laws.driven is None else range(1, arm.count + 1)
 
 
 def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None:
-    """Refuse what muscles cannot do with angles (rad) and pressures (Pa) over time.
+    """Reject angles (rad) and pressures (Pa) over time that are impossible for the muscles.
 
-    While a program is traced no number is checked.
+    While a program is traced, values are not checked.
 
     Raises:
-        InputError: pressures for joints without muscles, pressures that are not numbers from 0 to
-            the limit of the muscles, a command beyond 60 deg or for which they are too weak, an
-            impossible geometry, or one whose lever jumps at 0.
+        InputError: pressures are given for joints without muscles; a pressure is not a number
+            between 0 and the limit of the muscles; a command exceeds 60 deg or the strength of the
+            muscles; or the geometry is impossible or has a lever that jumps at 0.
     """
     known = _with_muscles(arm)
     driven = () if pressure is None else pressure.joints
     for joint in sorted(set(driven) - set(known)):
         raise InputError(
-            f"joint {joint} is driven by pressures, but it has no muscles: state which joints "
+            f"joint {joint} is driven by pressures, but it has no muscles: specify which joints "
             'have muscles, for example muscles = "pitch" in [arm]'
         )
     if pressure is not None and pressure.signal.width != 2 * arm.count:
@@ -419,8 +423,8 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
         wrong = given[~((given >= 0) & (given <= limit * (1 + 1e-9)))]
         if wrong.size:
             raise InputError(
-                f"a pressure of a muscle is {wrong[0]:g} Pa: give gauge pressures from 0 to"
-                f" muscle.pressure_limit = {limit:g} Pa"
+                f"a pressure of a muscle is {wrong[0]:g} Pa: give gauge pressures from 0 to "
+                f"muscle.pressure_limit = {limit:g} Pa"
             )
     if is_concrete(command):
         by_angle = np.asarray(sorted(set(known) - set(driven)), dtype=int) - 1
@@ -436,13 +440,14 @@ def check_muscles(arm: Arm, command: Signal, pressure: Pressures | None) -> None
             _check_strength(arm.pneumatics, _reached(command)[:, by_angle])
 
 
-_ANGLES = 64  # so many angles at most, so that other commands need no other program
+# Number of tested angles; it is fixed so that other commands do not require another program.
+_ANGLES = 64
 
 
 def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
-    """Refuse commanded angles (rad) for which no pressure is high enough."""
-    # Where a muscle would have to push, the controller empties it, as it does in a straight joint
-    # that something else bends.
+    """Reject commanded angles (rad) for which no pressure is high enough."""
+    # If a muscle would have to push, the controller empties it, as in a straight joint that another
+    # force bends.
     angles = np.unique(commanded)
     angles = angles[np.linspace(0, angles.size - 1, _ANGLES).round().astype(int)]
     asked = _asked(pneumatics, jnp.asarray(angles))
@@ -450,9 +455,8 @@ def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
         weak = np.flatnonzero(np.isin(np.asarray(answer.code), (NEEDS_PRESSURE, TOO_SHORT)))
         if weak.size:
             raise InputError(
-                f"no pressures can hold a joint at the commanded angle of "
-                f"{np.rad2deg(angles[weak[0]]):.4g} deg:"
-                f" {answer.message(int(weak[0]))}"
+                "no pressures can hold a joint at the commanded angle of "
+                f"{np.rad2deg(angles[weak[0]]):.4g} deg: {answer.message(int(weak[0]))}"
             )
 
 
@@ -463,12 +467,12 @@ def _asked(pneumatics: Pneumatics, angles: Array) -> PairCommand:
 
 @program
 def _levers(pneumatics: Pneumatics) -> Array:
-    """Of a muscle at 0, as the inner and the outer one, m."""
+    """Return the lever of a muscle at angle 0, as the inner and as the outer muscle, m."""
     angle, inner = jnp.zeros(2), jnp.asarray([True, False])
     return muscle_balance(pneumatics.joint.geometry, angle, jnp.ones(2), inner).lever
 
 
 def _reached(signal: Signal) -> np.ndarray:
-    """Values at both ends of each piece of a signal, shape (end, width)."""
+    """Return the values at both ends of each piece of a signal, shape (end, width)."""
     times, values, slopes = (np.asarray(x) for x in (signal.times, signal.values, signal.slopes))
     return np.concatenate([values, values[:-1] + slopes[:-1] * np.diff(times)[:, None]])

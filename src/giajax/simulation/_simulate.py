@@ -1,4 +1,4 @@
-"""Motion of an arm over time: the checks of `simulate`, and its compiled core on diffrax."""
+"""Simulation of an arm's motion: the checks of `simulate`, and its compiled core on diffrax."""
 
 from collections.abc import Callable
 from operator import attrgetter
@@ -24,66 +24,68 @@ from ._trajectory import RESULTS, SimulationError, Trajectory
 if TYPE_CHECKING:
     import diffrax
 
-# What disturbs an arm, and the steps that derivatives by a disturbance need.
+# Disturbances of an arm, and the steps that derivatives with respect to a disturbance require.
 #
-# A step-size controller sees the errors of the motion, not those of its derivatives. An arm at
-# rest has no error at all, and one that moves in a plane has none across it: the steps then grow
-# until they are unstable for what a derivative sets swinging there, by a wind across or a first
-# angle. Derivatives by the other parameters of links, joints and air are safe, because those
-# parameters move only what moves already.
+# A step-size controller observes the errors of the motion, but not the errors of its derivatives.
+# An arm at rest has no error at all, and an arm that moves in a plane has none perpendicular to it.
+# The steps then grow until they are unstable for the oscillations of the derivative with respect
+# to, for example, a cross wind or an initial angle. Derivatives with respect to the other
+# parameters of links, joints and air are safe, because these parameters affect only what moves
+# already.
 #
-# Which steps are taken is the caller's choice, not a consequence of being differentiated, so that
-# a simulation has the same value with and without its derivatives.
+# The caller chooses the steps. They do not depend on whether a simulation is differentiated, so its
+# value is the same with and without derivatives.
 
 StepsFor = Literal["motion", "derivatives"]
-"""What the steps of a simulation are short enough for."""
+"""Purpose for which the steps of a simulation are short enough."""
 
-# Of an arm, beside the inputs and the initial state of every simulation.
-# What parameters of a law of one's own move is not known.
+# Parameters of an arm that are disturbances, in addition to the inputs and the initial state of
+# every simulation. The parameters of a user-defined law are included because their effect is
+# unknown.
 _PARAMETERS = ("base_rotation", "gravity", "air.wind", "buoyancy", "point_masses", "pneumatics",
                "joints.laws", "air.wind_field")  # fmt: skip
 
-# Of the muscles, whose parameters have no common name: where pressures hold a joint, each of them
+# Parameters of the muscles, which have no common name. If pressures hold a joint, each of them
 # moves it.
 _GROUPS = (GEOMETRY, LOAD, ALPHA, BETA, BRAIDED, DRIVE, NECK)
 _MUSCLES = {quantity.path.partition(".")[0] for group in _GROUPS for quantity in group}
 
 _REFUSAL = (
     "a simulation with steps_for='motion' was differentiated with respect to a disturbance "
-    "(command, wind, "
-    f"torque, initial state, {', '.join(_PARAMETERS)}), for which its steps may be too long: "
-    "call simulate with steps_for='derivatives', or the model's for_derivatives"
+    f"(command, wind, torque, initial state, {', '.join(_PARAMETERS)}), for which its steps may be "
+    "too long: call simulate with steps_for='derivatives', or the model's for_derivatives"
 )
 
 
 def is_disturbance(path: str) -> bool:
-    """Whether a parameter of an arm may set moving what is at rest, or an element: `air.wind[0]`.
+    """Return whether a parameter, or an element such as `air.wind[0]`, may move an arm at rest.
 
-    Only with `steps_for="derivatives"` may a motion be differentiated by such a disturbance.
+    A motion may be differentiated with respect to such a disturbance only with
+    `steps_for="derivatives"`.
     """
     name = path.partition("[")[0]
     return any(name == known or name.startswith(f"{known}.") for known in (*_PARAMETERS, *_MUSCLES))
 
 
 def check_steps_for(steps_for: str) -> None:
-    """Refuse (`InputError`) a choice of steps that is neither "motion" nor "derivatives"."""
+    """Reject (`InputError`) a choice of steps that is neither "motion" nor "derivatives"."""
     if steps_for not in get_args(StepsFor):
         raise InputError(
             f"steps_for={steps_for!r} is unknown: use 'motion', or 'derivatives' to differentiate "
-            f"with respect to the wind, the initial state and any other input that can move an "
-            f"arm at rest"
+            "with respect to the wind, the initial state and any other input that can move an "
+            "arm at rest"
         )
 
 
 def refuse_disturbances(steps_for: str, arm: Arm, inputs: Any) -> Scalar:
-    """Zero; raises `TypeError` where steps for the motion would meet a disturbance's tangent.
+    """Return zero; raise `TypeError` for a tangent of a disturbance with `steps_for="motion"`.
 
-    The zero must be added to something that the simulation needs, or nothing keeps it. The error is
-    raised while the program is traced, in forward or in reverse mode.
+    The zero must be added to a value that the simulation requires, otherwise it is optimised away.
+    The error is raised while the program is traced, in forward or in reverse mode.
     """
     if steps_for != "motion":
         return jnp.zeros(())
-    # Muscles in the gas of links, which moves a joint that it holds.
+    # Muscles in the gas of the links, because the gas pressure moves a joint that the muscles hold.
     muscles = None if arm.pneumatics is None else arm.pneumatics.in_links(arm.links)
     disturbances = (inputs, muscles, *(attrgetter(path)(arm) for path in _PARAMETERS))
     return jax.lax.stop_gradient(_undisturbed(disturbances))
@@ -103,7 +105,7 @@ def _undisturbed_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 
 def slides(arm: Arm) -> bool:
-    """Whether something follows the way of joints or slides along obstacles, step by step."""
+    """Return whether an arm has rate-independent states or contacts with friction."""
     touches = arm.contact is not None and arm.contact.rows > 0
     return arm.further_laws.mapped or touches
 
@@ -114,7 +116,10 @@ Derivatives = Literal["forward", "reverse"]
 
 
 def adjoint(derivatives: str) -> "diffrax.AbstractAdjoint":
-    """The diffrax adjoint that offers a mode of differentiation; `InputError` for another one."""
+    """Return the diffrax adjoint for a mode of differentiation.
+
+    An `InputError` is raised for an unknown mode.
+    """
     import diffrax
 
     if derivatives == "forward":
@@ -128,7 +133,10 @@ def adjoint(derivatives: str) -> "diffrax.AbstractAdjoint":
 
 
 def guard_outputs(tree: T, derivatives: str) -> T:
-    """Outputs of a simulation; a cotangent that enters one in forward mode raises a sentence."""
+    """Return the outputs of a simulation, such that reverse-mode differentiation raises an error.
+
+    This applies to `derivatives="forward"`.
+    """
     if derivatives != "forward":
         return tree
     return eqxi.nondifferentiable_backward(
@@ -139,7 +147,10 @@ def guard_outputs(tree: T, derivatives: str) -> T:
 
 
 def guard_inputs(tree: T, derivatives: str) -> T:
-    """Inputs of a simulation; a tangent that enters one in reverse mode raises a sentence."""
+    """Return the inputs of a simulation, such that forward-mode differentiation raises an error.
+
+    This applies to `derivatives="reverse"`.
+    """
     if derivatives != "reverse":
         return tree
     arrays, rest = eqx.partition(tree, eqx.is_inexact_array)
@@ -158,7 +169,8 @@ def _reverse_only(tree: Any) -> Any:
     return tree
 
 
-# JAX refuses to push a tangent through a function with a custom vjp: that is the guard.
+# JAX does not permit forward-mode differentiation of a function with a custom vjp. The guard relies
+# on this.
 _reverse_only.defvjp(lambda tree: (tree, None), lambda _, cotangent: (cotangent,))
 
 
@@ -180,20 +192,20 @@ def integrate(
     pressure: Pressures | None = None,
     stepsize_controller: "diffrax.AbstractStepSizeController | None" = None,
 ) -> Trajectory:
-    """The compiled core of `simulate`: no checks, and a failure is a result code.
+    """Compiled core of `simulate`, without checks; a failure is a result code.
 
     Arguments:
-        arm, command, times, wind, torque, pressure: as of `simulate`.
-        state: angles (rad) and rates (rad/s) at the beginning, where nothing strains the joints'
-            hysteresis.
-        tolerances: relative and absolute tolerance of a step.
-        solver, max_steps, derivatives, steps_for, stepsize_controller: as of `simulate`.
-        span: from when to when to integrate, s; by default from the first to the last time.
+        arm, command, times, wind, torque, pressure: as for `simulate`.
+        state: angles (rad) and rates (rad/s) at the beginning, at which the hysteresis of the
+            joints is unstrained.
+        tolerances: relative and absolute tolerance of a step. solver, max_steps, derivatives,
+            steps_for, stepsize_controller: as for `simulate`.
+        span: start and end of the integration, s; defaults to the first and the last time.
 
     Raises:
-        TypeError: differentiated by a disturbance with `steps_for="motion"`.
+        TypeError: it is differentiated with respect to a disturbance with `steps_for="motion"`.
     """
-    # Only where this is compiled.
+    # These are imported only if this function is compiled.
     import diffrax
 
     from ._controller import step_size_controller
@@ -206,9 +218,10 @@ def integrate(
     rtol, atol = tolerances
     knots = [signal.corners(rtol) for signal in inputs]
     if wind is not None and arm.air.added_mass_coefficient is not None:
-        # Added mass feels the rate of the wind, which jumps at each of its knots.
+        # The force on the added mass depends on the rate of the wind, which jumps at each knot.
         knots[1] = (wind.times, jnp.full_like(wind.times, jnp.inf))
-    # Where steps end is no part of what is differentiated, and a command may be, by when it turns.
+    # The ends of steps are not differentiated, although a command may be differentiated with
+    # respect to the times of its knots.
     corners, bends = jax.lax.stop_gradient(tuple(map(jnp.concatenate, zip(*knots, strict=True))))
     if derivatives == "forward":
         rtol = rtol + refuse_disturbances(steps_for, arm, (inputs, state))
@@ -225,7 +238,7 @@ def integrate(
             mobility = jax.lax.stop_gradient(jnp.linalg.inv(mass_matrix(arm, state[0])))
     controller: Any = stepsize_controller
     if not isinstance(controller, diffrax.StepTo):
-        # Those with states by the way alone are followed from turn to turn within a step.
+        # Laws with rate-independent states follow the path between turning points within a step.
         own = arm.joints.further_laws.laws
         turning = any(law.rows > 0 and not law.slides for law in own)
         controller = step_size_controller(
@@ -284,7 +297,7 @@ def _result(ended: "diffrax.RESULTS", finite: Array) -> Any:
 
 
 MAX_STEPS = 100_000
-"""Step limit of a simulation by default."""
+"""Default step limit of a simulation."""
 
 
 def simulate(
@@ -307,54 +320,56 @@ def simulate(
 ) -> Trajectory:
     """Simulate the motion of an arm.
 
-    The arm starts at the first time, straight and at rest unless `initial` says otherwise. The
-    integrator never steps over a corner of the command or the wind.
+    The arm is straight and at rest at the first time unless `initial` is given. The integrator
+    never steps over a corner of the command or the wind.
 
     Arguments:
         arm: the arm.
         command: commanded angles over time, rad; width = number of joints.
         times: increasing times of the samples, s, shape (sample,).
-        wind: velocity of the air in the base frame, m/s: a signal of width 3, one of x, y and z
-            of link after link (width 3 times their number), three numbers, a function of place
-            and time (`giajax.mechanics.arm.with_wind`), which the arm of the motion then has, or
-            None for still air. With added mass it must not jump: the force would be infinite.
-            A function has no corners: where it may be still for long before a gust, give steps a
-            length (`stepsize_controller=diffrax.PIDController(rtol, atol, dtmax=...)`).
-        torque: of the joints' drives over time, beside springs and dampers, N m; width = number
-            of joints.
-        pressure: supplied to muscles over time (`Pressures`), where the arm has some; by default
-            their controller supplies those that hold the command.
+        wind: velocity of the air in the base frame, m/s: a signal of width 3, a signal with x, y
+            and z for each link (width 3 times the number of links), three numbers, a function of
+            position and time (`giajax.mechanics.arm.with_wind`), which then belongs to the arm of
+            the result, or None for still air. With added mass the wind must not jump, because the
+            force would be infinite. A function has no corners: if it may be constant for a long
+            time before a gust, limit the steps (`stepsize_controller=diffrax.PIDController(rtol,
+            atol, dtmax=...)`).
+        torque: torque of the joints' drives over time, in addition to springs and dampers, N m;
+            width = number of joints.
+        pressure: pressures supplied to muscles over time (`Pressures`), if the arm has muscles; by
+            default the controller of the muscles supplies the pressures that hold the command.
         initial: angles (rad) and rates (rad/s) at the first time, each of shape (joint,).
-        solver: one of `giajax.simulation.SOLVERS`; "springs5", a linearly implicit additive
-            Runge-Kutta method of order 5, is the fastest wherever springs, not accuracy, limit the
-            steps of explicit ones, such as "tsit5". Or any solver of diffrax for ordinary
-            differential equations, such as `diffrax.Kvaerno4()`.
+        solver: one of `giajax.simulation.SOLVERS`. "springs5", a linearly implicit additive
+            Runge-Kutta method of order 5, is the fastest if springs rather than accuracy limit the
+            steps of explicit methods such as "tsit5". Any diffrax solver for ordinary differential
+            equations, such as `diffrax.Kvaerno4()`, is also accepted.
         rtol, atol: relative and absolute tolerance of a step, on angles (rad) and rates (rad/s);
-            "springs5" weighs those (docs/solvers.md).
-            The default keeps the tip of the 20 m arm within about 1e-4 m.
-        stepsize_controller: of diffrax, in place of its `PIDController` with its defaults; an
-            adaptive one, which has these tolerances, or `diffrax.StepTo` from the first to the
-            last time, which steps over corners, too.
+            "springs5" weights these errors (docs/solvers.md). The default limits the error of the
+            tip of the 20 m arm to about 1e-4 m.
+        stepsize_controller: diffrax controller that replaces the default `PIDController`: an
+            adaptive controller, which receives these tolerances, or `diffrax.StepTo` from the first
+            to the last time, which also steps over corners.
         max_steps: step limit.
         derivatives: "forward" for few parameters (`jax.jvp`, `jax.jacfwd`); "reverse" for many
-            (`jax.grad`), which keeps about the square root of the number of steps in memory.
-        steps_for: "motion" for steps that the motion needs, whose derivatives by links, joints
-            and air are as exact as it is; "derivatives" for steps that are stable for whatever
-            is at rest, too, as derivatives by a disturbance need: the command, the wind, the
-            torque, the initial state, or the arm's base rotation, gravity, wind, buoyancy,
-            point masses and muscles. Those are shorter where stiff joints rest; the value of the
-            simulation is the same with and without derivatives.
-        throw: raise when the simulation fails; otherwise read `Trajectory.result`.
+            (`jax.grad`), which stores about the square root of the number of steps.
+        steps_for: "motion" for steps that the accuracy of the motion requires, for which
+            derivatives with respect to links, joints and air are as accurate as the motion.
+            "derivatives" for steps that are also stable for parts at rest, which derivatives with
+            respect to a disturbance require: the command, the wind, the torque, the initial state,
+            or the arm's base rotation, gravity, wind, buoyancy, point masses and muscles. These
+            steps are shorter while stiff joints are at rest. The value of the simulation is the
+            same with and without derivatives.
+        throw: raise an error if the simulation fails; otherwise check `Trajectory.result`.
 
     Returns:
         The motion at the times, with angles (rad), rates (rad/s) and how the simulation ended.
 
     Raises:
-        InputError: shapes that do not fit the arm, times that do not increase, an unknown or
-            unsuitable solver, controller, mode or choice of steps.
+        InputError: a shape does not match the arm; the times do not increase; or the solver,
+            controller, mode or choice of steps is unknown or unsuitable.
         SimulationError: the simulation failed and `throw` is true.
-        RuntimeError, TypeError: differentiated in the mode that was not asked for.
-        TypeError: differentiated by a disturbance with `steps_for="motion"`.
+        RuntimeError, TypeError: it is differentiated in the mode that was not selected.
+        TypeError: it is differentiated with respect to a disturbance with `steps_for="motion"`.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -373,16 +388,16 @@ def simulate(
     state = _initial_state(arm, initial)
     _check(arm, command, times, wind, torque, stepsize_controller)
     check_muscles(arm, command, pressure)
-    # What is wrong is refused before anything is compiled.
+    # Invalid arguments are rejected before compilation.
     check_method(solver, stepsize_controller)
     adjoint(derivatives)
     check_steps_for(steps_for)
     rtol, atol = (jnp.asarray(tolerance, dtype=dtype) for tolerance in (rtol, atol))
     inputs = (command, wind, torque, pressure, state)
-    # Guards cost a millisecond, and what is known now is not differentiated.
+    # Guards take a millisecond, and concrete values are not differentiated.
     guarded = not is_concrete((arm, inputs, times, rtol, atol))
     if guarded:
-        # Behind the guard of the inputs everything seems to be differentiated.
+        # After `guard_inputs`, all inputs appear to be differentiated.
         rtol = rtol + refuse_disturbances(steps_for, arm, inputs)
         arm, inputs = guard_inputs((arm, inputs), derivatives)
     command, wind, torque, pressure, state = inputs
@@ -441,8 +456,7 @@ def _check(
     if wind is not None and wind.width not in (3, 3 * arm.count):
         raise InputError(
             f"the wind has {wind.width} components: give x, y and z, or three components for each "
-            f"of the "
-            f"{arm.count} links"
+            f"of the {arm.count} links"
         )
     if torque is not None and torque.width != arm.count:
         raise InputError(
@@ -467,20 +481,20 @@ def _check_steps(controller: Any, times: Array) -> None:
         ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
         if ends[0] != ends[1]:
             raise InputError(
-                f"StepTo covers {ends[0]} s, but the times cover {ends[1]}: make both the same"
+                f"StepTo covers {ends[0]} s, but the times cover {ends[1]} s: make the two the same"
             )
 
 
 def check_wind(arm: Arm, wind: Signal | None) -> None:
-    """Refuse (`InputError`) a wind that jumps where the arm has added mass.
+    """Reject (`InputError`) a wind that jumps if the arm has added mass.
 
-    The jump would be an infinite force for no time. While a program is traced nothing is checked.
+    The jump would cause an infinite force of zero duration. While a program is traced nothing is
+    checked.
     """
     if wind is None or arm.air.added_mass_coefficient is None or not is_concrete(wind):
         return
     if bool(wind.jumps):
         raise InputError(
             "the wind is discontinuous, which causes an infinite force with added mass: give a "
-            "wind that "
-            'is linear between samples (interpolation = "linear")'
+            'wind that is linear between samples (interpolation = "linear")'
         )

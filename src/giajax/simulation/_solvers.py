@@ -1,6 +1,6 @@
-"""Methods of integration by name; diffrax is imported only where one is looked at.
+"""Integration methods by name; diffrax is imported only when a method is required.
 
-A process whose programs are all kept never needs it, and its import takes a tenth of a second.
+A process with only cached programs never requires diffrax, whose import takes a tenth of a second.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import diffrax
 
 Solver = Union[str, "diffrax.AbstractSolver[Any]"]
-"""One of `SOLVERS`, a text such as "Kvaerno4()", or what that describes."""
+"""One of `SOLVERS`, a text such as "Kvaerno4()", or the solver that such a text describes."""
 
 
 def _springs5(reverse: bool = True) -> "diffrax.AbstractAdaptiveSolver":
@@ -37,15 +37,18 @@ SOLVERS: dict[str, Callable[[], "diffrax.AbstractAdaptiveSolver"]] = {
     "kvaerno3": partial(from_text, "Kvaerno3()"),
     "kvaerno5": partial(from_text, "Kvaerno5()"),
 }
-"""Explicit methods, then the one that is implicit in the joints' springs and dampers alone, the
-fastest of all where they are stiff, then fully implicit ones."""
+"""Integration methods by name: explicit methods, `springs5`, and fully implicit methods.
+
+`springs5` is implicit only in the springs and dampers of the joints, and is the fastest if they are
+stiff.
+"""
 
 
 def solver(named: Solver, *, reverse: bool = True) -> "diffrax.AbstractSolver[Any]":
-    """The method that is named, to be differentiated in reverse mode or not.
+    """Return the named method; `reverse` selects support of reverse-mode differentiation.
 
     Raises:
-        InputError: there is no such name, or it is not for ordinary differential equations.
+        InputError: there is no such name, or the method is not for ordinary differential equations.
     """
     import diffrax
 
@@ -54,23 +57,22 @@ def solver(named: Solver, *, reverse: bool = True) -> "diffrax.AbstractSolver[An
     method: Any = named
     if isinstance(named, str) and "(" in named:
         method = from_text(named)
-    # A solver around what is none has no terms.
+    # A wrapper around an object that is not a solver has no terms.
     if not (isinstance(method, diffrax.AbstractSolver) and hasattr(method, "term_structure")):
         raise InputError(
-            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or one of diffrax, "
-            "such as Kvaerno4()"
+            f"there is no solver '{named}': use one of {', '.join(SOLVERS)}, or a diffrax "
+            "solver such as Kvaerno4()"
         )
     if method.term_structure is not diffrax.AbstractTerm:
         raise InputError(
             f"{type(method).__name__} is for stochastic or split equations, but the equations of "
-            f"motion of an arm are neither"
-            ": give another solver, such as Tsit5()"
+            "motion of an arm are neither: give another solver, such as Tsit5()"
         )
     return method
 
 
 def check_method(named: Solver, controller: object = None) -> None:
-    """Refuse (`InputError`) a solver, or a controller of its steps, that no arm moves by."""
+    """Reject (`InputError`) a solver or a step-size controller that cannot be used for an arm."""
     if controller is None and isinstance(named, str) and named in SOLVERS:
         return
     import diffrax
@@ -83,29 +85,28 @@ def check_method(named: Solver, controller: object = None) -> None:
     if not (fixed or adaptive):
         raise InputError(
             f"the step size controller is {type(controller).__name__}, which does not choose step "
-            f"sizes"
-            ": give diffrax.StepTo(ts=...), or an adaptive one such as diffrax.PIDController"
+            "sizes: give diffrax.StepTo(ts=...), or an adaptive controller such as "
+            "diffrax.PIDController"
         )
     if adaptive and not isinstance(method, diffrax.AbstractAdaptiveSolver):
         raise InputError(
             f"{name} does not estimate the error of a step, which an adaptive step size requires: "
-            f"give "
-            f"diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
+            f"give diffrax.HalfSolver({name}()), or stepsize_controller=diffrax.StepTo(ts=...)"
         )
     if fixed and isinstance(method, diffrax.AbstractImplicitSolver):
-        of_controller = diffrax.ImplicitEuler().root_finder.rtol  # what stands for that
+        of_controller = diffrax.ImplicitEuler().root_finder.rtol  # means the controller's tolerance
         if method.root_finder.rtol is of_controller:
             raise InputError(
                 f"{name} takes the tolerances of its equations from an adaptive controller, but "
-                f"StepTo has none: give the solver"
-                " root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
+                "StepTo has no tolerances: give the solver "
+                "root_finder=diffrax.VeryChord(rtol=1e-8, atol=1e-8)"
             )
     if adaptive and controller is not None:
         with_tolerances(controller, 0.0, 0.0)
 
 
 def with_tolerances(controller: Any, rtol: Any, atol: Any) -> Any:
-    """A controller with other tolerances, which may be those of one within it."""
+    """Return a controller with other tolerances, which may belong to a controller inside it."""
     held = vars(controller)
     if {"rtol", "atol"} <= held.keys():
         return dataclasses.replace(controller, rtol=rtol, atol=atol)
@@ -114,6 +115,6 @@ def with_tolerances(controller: Any, rtol: Any, atol: Any) -> Any:
         return eqx.tree_at(lambda outer: outer.controller, controller, inner)
     raise InputError(
         f"the step size controller {type(controller).__name__} has no fields rtol and atol, which "
-        f"a fit or a caller sets: add both fields"
-        ", or diffrax.PIDController(rtol=..., atol=...)"
+        "a fit or a caller sets: add both fields, or give diffrax.PIDController(rtol=..., "
+        "atol=...)"
     )

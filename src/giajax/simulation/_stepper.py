@@ -1,4 +1,4 @@
-"""A motion step by step, for those who decide on the way: an operator, a controller."""
+"""Stepwise simulation, for an operator or a controller that decides during the motion."""
 
 from typing import Any
 
@@ -21,13 +21,13 @@ from ._solvers import Solver, check_method, solver as solver_named
 
 
 class Moment(eqx.Module):
-    """An arm at one time of its motion.
+    """State of an arm at one time of its motion.
 
     Attributes:
-        time: s.
-        state: of the joints: angles (rad), rates (rad/s), and what else the arm remembers.
+        time: time, s.
+        state: state of the joints: angles (rad), rates (rad/s), and the memory of the arm.
         command: commanded angles, rad.
-        wind: velocity of the air, m/s, of the whole arm or of link after link; None for still air.
+        wind: velocity of the air, m/s, for the whole arm or for each link; None for still air.
     """
 
     time: Scalar
@@ -46,26 +46,26 @@ class Moment(eqx.Module):
         return self.state[1]
 
 
-# Of a method that iterates; and in one interval, where the error is controlled.
+# Tolerance of iterative methods, and step limit of one interval with error control.
 _TOLERANCE, _MOST_STEPS = 1e-6, 1000
 
 
 class Stepper(eqx.Module):
-    """Fixed steps of a simulation, compiled once, in which the command may be decided on the way.
+    """Simulation in fixed intervals, compiled once, with commands that may be decided between them.
 
-    An interval is what passes between two decisions. In it the command and the wind move linearly
-    from what they were to what is given; it is integrated in a number of equal steps, without any
-    control of the error: compare with `simulate` once, or halve the steps. An arm that runs into
-    something needs shorter ones then and there: give a `tolerance`.
+    An interval is the time between two decisions. During an interval the command and the wind
+    change linearly from the current to the given values. The interval is integrated in a number of
+    equal steps without error control. To check the accuracy, compare with `simulate` once, or halve
+    the steps. An arm that hits an obstacle temporarily requires shorter steps: give a `tolerance`.
 
     Attributes:
         arm: the arm.
-        interval: between two decisions, s.
-        steps: of the integrator in an interval.
-        solver: as of `simulate`; "springs5" is stable with long steps.
-        tolerance: of a step, as those of `simulate`: steps are made shorter where it needs that,
-            and where none is short enough the state is NaN. Its derivatives are forward ones
-            alone then (`jax.jvp`, `jax.jacfwd`). None: steps are equal.
+        interval: time between two decisions, s.
+        steps: number of integration steps per interval.
+        solver: as for `simulate`; "springs5" is stable with long steps.
+        tolerance: tolerance of a step, as for `simulate`. Steps are shortened if necessary, and the
+            state is NaN if no step is short enough. Only forward-mode differentiation is then
+            supported (`jax.jvp`, `jax.jacfwd`). With None, all steps are equal.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -87,8 +87,9 @@ class Stepper(eqx.Module):
     )
 
     def __check_init__(self) -> None:
-        """Refuse (`InputError`) what is not positive, an unknown solver, and a lag of drives."""
-        # As numbers: within a trace a comparison of arrays is none that is known.
+        """Reject (`InputError`) non-positive values, unknown solvers, and lags of drives."""
+        # The values are compared as numbers, because the result of comparing traced arrays is
+        # unknown.
         if is_concrete(self.interval) and not (
             self.interval.ndim == 0 and 0 < float(self.interval) < np.inf
         ):
@@ -99,7 +100,7 @@ class Stepper(eqx.Module):
             if getattr(self.arm.joints, name) is not None:
                 raise InputError(
                     f"the arm has joints.{name}, which stepwise simulation does not support: omit "
-                    f"this parameter, or call simulate"
+                    "this parameter, or call simulate"
                 )
         tolerance = self.tolerance
         if tolerance is not None and is_concrete(tolerance) and not float(tolerance) > 0:
@@ -118,18 +119,18 @@ class Stepper(eqx.Module):
         wind: Any | None = None,
         time: float = 0.0,
     ) -> Moment:
-        """The arm at the beginning, where nothing strains the joints' hysteresis.
+        """Return the state at the beginning, at which the hysteresis of the joints is unstrained.
 
         Arguments:
-            angles: of the joints, rad, shape (joint,); straight by default.
-            rates: of the joints, rad/s, shape (joint,); at rest by default.
-            command: commanded angles, rad, shape (joint,); by default those of the joints.
-            wind: velocity of the air, m/s, of shape (3,) or (3 * link,), or None for still air,
-                which it then stays.
-            time: s.
+            angles: angles of the joints, rad, shape (joint,); straight by default.
+            rates: rates of the joints, rad/s, shape (joint,); at rest by default.
+            command: commanded angles, rad, shape (joint,); defaults to the angles of the joints.
+            wind: velocity of the air, m/s, of shape (3,) or (3 * link,), or None for still air
+                during the whole motion.
+            time: initial time, s.
 
         Raises:
-            InputError: shapes that do not fit the arm, or a command that muscles cannot follow.
+            InputError: a shape does not match the arm, or muscles cannot follow the command.
         """
         count = self.arm.count
         angles = _row("angles", count, np.zeros(count) if angles is None else angles)
@@ -144,15 +145,17 @@ class Stepper(eqx.Module):
         return Moment(at, inputs.start(jnp.stack([angles, rates]), at), command, wind)
 
     def advance(self, moment: Moment, command: Any, wind: Any | None = None) -> Moment:
-        """The arm an interval later.
+        """Return the state after one interval.
 
         Arguments:
-            moment: where it is.
+            moment: current state.
             command: commanded angles at the end of the interval, rad, shape (joint,).
-            wind: velocity of the air at its end, as of `start`; by default it stays.
+            wind: velocity of the air at the end of the interval, as for `start`; unchanged by
+                default.
 
         Raises:
-            InputError: shapes that do not fit the arm, or a wind where there was still air.
+            InputError: a shape does not match the arm, or a wind is given after a start in still
+                air.
         """
         command = _row("command", self.arm.count, command)
         if moment.wind is None and wind is not None:
@@ -198,7 +201,8 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
         ended = solution.result == diffrax.RESULTS.successful
         state = jnp.where(ended, solution.ys[-1], jnp.nan)
         return Moment(moment.time + interval, state, command, wind)
-    # Within the interval, so that steps of a long motion are as equal as of a short one.
+    # Times are relative to the interval, so that steps are equally accurate at the end of a long
+    # motion.
     ends = jnp.arange(1, stepper.steps + 1, dtype=interval.dtype) * (interval / stepper.steps)
 
     def one(carry: Any, end: Array) -> tuple[Any, None]:
@@ -214,7 +218,7 @@ def _advance(stepper: Stepper, moment: Moment, command: Array, wind: Array | Non
 
 
 def _line(before: Array, after: Array, duration: Scalar) -> Signal:
-    """From one value to another."""
+    """Return a signal that changes linearly from one value to another."""
     slope = (after - before) / duration
     time = jnp.zeros((1,), before.dtype)
     return Signal(time, before[None], slope[None], jnp.full_like(time, jnp.inf))
@@ -224,6 +228,6 @@ def _row(name: str, count: int, values: Any) -> Array:
     row = jnp.asarray(values, dtype=jnp.result_type(float))
     if row.shape != (count,):
         raise InputError(
-            f"the {name} of one time have the shape {row.shape}: give {count} numbers in one row"
+            f"the argument {name} has the shape {row.shape}: give {count} numbers in one row"
         )
     return row

@@ -1,4 +1,4 @@
-"""The result of a simulation."""
+"""Trajectory: the result of a simulation."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ from ._signal import Signal, constant, followed, ramps, steps
 
 
 class RESULTS(eqx.Enumeration):
-    """How a simulation ended; the text names the next action."""
+    """How a simulation ended; the text describes how to proceed."""
 
     successful = ""
     max_steps_reached = (
@@ -38,34 +38,33 @@ class RESULTS(eqx.Enumeration):
     )
     step_too_small = (
         "the simulation requires steps smaller than floating-point resolution: loosen rtol and "
-        "atol, "
-        "or check the parameters"
+        "atol, or check the parameters"
     )
 
 
 class SimulationError(RuntimeError):
-    """A simulation that failed while `throw=True`; the message is that of its result code."""
+    """Failure of a simulation with `throw=True`; the message describes its result code."""
 
 
 class Trajectory(eqx.Module):
     """Motion of an arm at its samples.
 
     Attributes:
-        times: s, shape (sample,).
+        times: times of the samples, s, shape (sample,).
         angles: joint angles, rad, shape (sample, joint).
         rates: joint rates, rad/s, shape (sample, joint).
-        memory: states of the joints' laws (`Arm.joint_laws`), shape (sample, row, joint), or None.
-        pressures: in the first and the second muscle of each joint, Pa, shape (sample, 2, joint);
-            None where no joint has muscles.
-        skin: stretch of the skin of each link along what it touches, m, shape (sample, 3, link);
-            None where contacts have no friction.
-        arm: the arm that moved.
-        command: its command.
-        wind: the wind it moved in, or None for still air.
+        memory: states of the joint laws (`Arm.joint_laws`), shape (sample, row, joint), or None.
+        pressures: pressures in the first and the second muscle of each joint, Pa, shape (sample, 2,
+            joint); None if no joint has muscles.
+        skin: stretch of the skin of each link at its contacts, m, shape (sample, 3, link); None if
+            contacts have no friction.
+        arm: the arm.
+        command: command of the arm.
+        wind: wind during the motion, or None for still air.
         result: how the simulation ended (`RESULTS`); after a failure the samples that were not
             reached are infinite or NaN.
-        steps: accepted and rejected steps of the integrator.
-        torque: of the joints' drives beside springs and dampers, or None.
+        steps: numbers of accepted and rejected steps of the integrator.
+        torque: torque of the joints' drives, in addition to springs and dampers, or None.
     """
 
     times: Float[Array, " sample"]
@@ -88,12 +87,12 @@ class Trajectory(eqx.Module):
 
     @property
     def message(self) -> str:
-        """What went wrong and what to do next; empty after a success."""
+        """Description of a failure and how to proceed; empty after a success."""
         return RESULTS[self.result]  # type: ignore[misc]
 
     @property
     def link_centres(self) -> Float[Array, "sample link 3"]:
-        """Positions of the links' centres in the base frame, m."""
+        """Positions of the centres of the links in the base frame, m."""
         centres: Array = _over_samples(link_centres, self.arm, self.angles)
         return centres
 
@@ -110,7 +109,7 @@ class Trajectory(eqx.Module):
 
     @property
     def followed(self) -> Float[Array, "sample joint"]:
-        """Angles that springs pull towards at the samples, rad: commands as drives follow them."""
+        """Angles towards which the springs pull at the samples, rad: the outputs of the drives."""
         return jax.vmap(followed(self.command, self.arm.joints))(self.times)
 
     @property
@@ -118,7 +117,7 @@ class Trajectory(eqx.Module):
         """Accelerations of the joints at the samples, rad/s^2.
 
         Raises:
-            InputError: what the joints remember is not known, which moves them.
+            InputError: the memory of the joints, on which the accelerations depend, is unknown.
         """
         return self._of_motion("accelerations")
 
@@ -127,16 +126,16 @@ class Trajectory(eqx.Module):
         """Torques of springs, dampers, hysteresis, laws and muscles of the joints, N m.
 
         Raises:
-            InputError: as of the accelerations.
+            InputError: as for the accelerations.
         """
         return self._of_motion("torques")
 
     @property
     def forces(self) -> Float[Array, "sample joint 3"]:
-        """Force that each joint passes on to the link beyond it, in the base frame, N.
+        """Force that each joint transmits to the link beyond it, in the base frame, N.
 
         Raises:
-            InputError: as of the accelerations.
+            InputError: as for the accelerations.
         """
         return self._of_motion("forces")
 
@@ -144,16 +143,16 @@ class Trajectory(eqx.Module):
         if self.memory is None and self.arm.joint_laws.rows:
             raise InputError(
                 f"the {what} of this motion are unknown, because they depend on the history of "
-                f"the joints, which this motion does not contain: call simulate"
+                "the joints, which this motion does not contain: call simulate"
             )
         found: Array = _moved(self, what)
         return found
 
 
 def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
-    """An arm that is held still at angles (rad), as a motion: one sample at 0 s, in still air.
+    """Return a trajectory of an arm held still at angles (rad): one sample at 0 s in still air.
 
-    For pictures, and sizes of results.
+    It is used for figures and for the sizes of results.
     """
     command, time = constant(angles), jnp.zeros((), angles.dtype)
     inputs = Inputs(arm, command, None, None, time)
@@ -176,13 +175,13 @@ def at_rest(arm: Arm, angles: Float[Array, " joint"]) -> Trajectory:
 
 @program
 def _over_samples(function: Callable[..., Any], arm: Arm, *rows: Any) -> Any:
-    """Of every sample; compiled, or each operation would be dispatched by itself."""
+    """Apply a function to each sample. Compilation avoids dispatching each operation separately."""
     return jax.vmap(function, in_axes=(None, *(0 for _ in rows)))(arm, *rows)
 
 
 @program
 def _moved(motion: Trajectory, what: str) -> Array:
-    """Accelerations, torques or forces of the joints at the samples."""
+    """Return accelerations, torques or forces of the joints at the samples."""
 
     def at(
         time: Array, angles: Array, rates: Array, command: Array, *states: Array | None
@@ -208,19 +207,19 @@ def _moved(motion: Trajectory, what: str) -> Array:
 
 @program
 def _touched(arm: Arm, angles: Array, rates: Array, skin: Array | None) -> tuple[Array, Array]:
-    """Flattening and forces of every sample."""
+    """Return the flattening and the contact forces at each sample."""
     return jax.vmap(functools.partial(touched, arm))(angles, rates, skin)
 
 
 class Contacts(NamedTuple):
-    """What the links touched, at the samples of a simulation.
+    """Contacts of the links at the samples of a simulation.
 
     Attributes:
         obstacles: names of the obstacles, in the order of their axis.
-        flattening: by how much a link's axis is nearer to an obstacle than its radius, m.
-        force: of an obstacle on a link in the base frame, N.
-        impulse: of an obstacle on a link over the whole time, N s, by the trapezoidal rule; no
-            better than the samples are dense.
+        flattening: radius of a link minus the distance of its axis from an obstacle, m.
+        force: force of an obstacle on a link in the base frame, N.
+        impulse: impulse of an obstacle on a link over the whole motion, N s, by the trapezoidal
+            rule; its accuracy is limited by the interval between samples.
     """
 
     obstacles: tuple[str, ...]
@@ -230,10 +229,10 @@ class Contacts(NamedTuple):
 
 
 def contacts(trajectory: Trajectory) -> Contacts:
-    """Flattening, force and impulse of each contact of a motion.
+    """Return the flattening, force and impulse of each contact of a motion.
 
     Raises:
-        InputError: nothing stands around the arm.
+        InputError: the arm has no obstacles.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -258,12 +257,12 @@ def contacts(trajectory: Trajectory) -> Contacts:
 
 
 def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) -> Signal:
-    """A command that steps at one time from the straight arm to other angles.
+    """Return a command that steps from the straight arm to other angles at one time.
 
     Arguments:
         joints: number of joints of the arm.
         angles: commanded angle by joint number (1 is the base joint), rad.
-        time: of the step, s.
+        time: time of the step, s.
 
     Example:
         >>> import giajax
@@ -275,12 +274,12 @@ def joint_steps(joints: int, angles: Mapping[int, float], *, time: float = 0.0) 
 def joint_ramps(
     joints: int, angles: Mapping[int, float], *, start: float = 0.0, duration: float = 1.0
 ) -> Signal:
-    """A command that moves linearly from the straight arm to other angles.
+    """Return a command that moves linearly from the straight arm to other angles.
 
     Arguments:
         joints: number of joints of the arm.
         angles: commanded angle at the end by joint number (1 is the base joint), rad.
-        start, duration: of the movement, s.
+        start, duration: start time and duration of the movement, s.
     """
     if not duration > 0:
         raise InputError(

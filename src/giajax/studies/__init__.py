@@ -1,4 +1,4 @@
-"""Questions that take many fits or derivatives of a fitted model."""
+"""Studies that repeat a fit or use the derivatives of a fitted model."""
 
 from typing import TYPE_CHECKING
 
@@ -111,6 +111,6 @@ from ._systematic import (
     with_systematic_errors as with_systematic_errors,
 )
 
-# Type checkers are to complain of what is not there.
+# Type checkers must report names that do not exist.
 if not TYPE_CHECKING:
     __getattr__ = _earlier(__name__)

@@ -1,4 +1,4 @@
-"""A fit repeated with data that might have been recorded instead: the bootstrap."""
+"""Bootstrap: repeat a fit with resampled data."""
 
 import dataclasses
 from collections import Counter
@@ -23,27 +23,30 @@ Method = Literal["parametric", "block"]
 
 @dataclasses.dataclass(frozen=True)
 class Repeated:
-    """One parameter, or what follows from the parameters, over the fits that came back.
+    """Statistics of one parameter, or one derived quantity, over the repetitions that converged.
 
-    What needs two fits at least is None with fewer.
+    Statistics that require at least two fits are None with fewer.
 
     Attributes:
-        value: where the repetitions begin and what made their data, SI.
-        standard_error: that the result states.
-        unit: SI.
-        bias: mean of the repetitions less the value, in standard errors.
-        bias_error: Monte Carlo error of the bias: one standard deviation.
+        value: value from which the data of the repetitions were generated and at which each
+            repetition starts, SI.
+        standard_error: standard error stated by the result, SI.
+        unit: SI unit.
+        bias: mean of the repetitions minus the value, in units of the standard error.
+        bias_error: Monte Carlo error of the bias (one standard deviation).
         spread: standard deviation of the repetitions, SI.
-        ratio: spread over standard error.
-        ratio_error: Monte Carlo error of the ratio: one standard deviation, of normal estimates.
-        percentile: from the 2.5th to the 97.5th percentile of the repetitions.
-        basic: the same, mirrored at the value: what the value may have come from.
-        covered: of how many repetitions the 95 % interval holds the value that made their data;
-            None where that is not the truth (blocks), or of what has no interval.
-        asked: how many have an interval.
-        coverage: `covered` over `asked`.
-        coverage_interval: where the coverage is by 95 % (Clopper and Pearson 1934).
-        values: of the repetitions, SI.
+        ratio: spread divided by the standard error.
+        ratio_error: Monte Carlo error of the ratio (one standard deviation), for normally
+            distributed estimates.
+        percentile: interval from the 2.5th to the 97.5th percentile of the repetitions.
+        basic: basic bootstrap interval: the percentile interval mirrored at the value.
+        covered: number of repetitions whose 95 % interval contains the value from which their data
+            were generated; None if that value is not the truth (blocks), or if there are no
+            intervals.
+        asked: number of repetitions that have an interval.
+        coverage: `covered` divided by `asked`.
+        coverage_interval: 95 % confidence interval of the coverage (Clopper and Pearson 1934).
+        values: values of the repetitions, SI.
     """
 
     value: float
@@ -70,26 +73,28 @@ class Bootstrap(
     head={"schema_version": 1},
     remedy="run giajax bootstrap again",
 ):
-    """What repetitions of a fit say of its standard errors and intervals.
+    """Check of the standard errors and intervals of a fit by repetitions.
 
     Attributes:
-        method: "parametric": data of the fitted model with noise of the fitted noise model; or
-            "block": with blocks of the residuals.
-        seed: of all repetitions.
-        size: repetitions that were done.
-        asked: repetitions that were asked for; more than `size` where Ctrl-C or an error came.
-        whole: whether each was fitted as the data were, noise and all; else with the noise as the
-            result has it.
-        came_back: fits that converged, of which the parameters tell.
-        reasons: how often each other reason (`FitResult.reason`) ended one.
-        failures: sentences of repetitions that could not be done, each once.
-        at_bounds: how often each parameter ended at a bound, of the fits that came back.
-        parameters: by name: those that the data determine, then what follows from them.
-        block_lengths: by run, in samples; empty without blocks.
-        noise_factor: by what the noise of the model was multiplied: 1 unless the residuals exceed
-            the stated noise, whose standard errors are scaled alike.
-        notes: sentences on what the repetitions leave out.
-        fitted: values of the free parameters of the result, by which a reader knows whose it is.
+        method: "parametric": data simulated with the fitted model and the fitted noise model; or
+            "block": predictions plus resampled blocks of the residuals.
+        seed: seed of all repetitions.
+        size: number of repetitions that were completed.
+        asked: number of repetitions that were requested; more than `size` after Ctrl-C or an error.
+        whole: whether each repetition was a complete fit, including the noise; otherwise the noise
+            is fixed at its value in the result.
+        came_back: number of repetitions that converged; the statistics of the parameters are based
+            on these.
+        reasons: number of repetitions that ended for each other reason (`FitResult.reason`).
+        failures: error messages of repetitions that failed, without duplicates.
+        at_bounds: number of converged repetitions in which each parameter ended at a bound.
+        parameters: statistics by name: first the parameters that the data determine, then the
+            derived quantities.
+        block_lengths: block length of each run, in samples; empty for the parametric method.
+        noise_factor: factor on the noise of the model: 1 unless the residuals exceed the stated
+            noise; the standard errors are then scaled by the same factor.
+        notes: sentences on the limitations of the repetitions.
+        fitted: values of the free parameters of the result, which identify the result.
     """
 
     method: Method
@@ -118,10 +123,10 @@ def repeated(
     values: Sequence[float],
     reaches: Sequence[float | None] | None,
 ) -> Repeated:
-    """What repetitions say of a parameter.
+    """Return the statistics of a parameter over the repetitions.
 
-    `reaches` are half of the 95 % interval of each, None of one without; it is None where nothing
-    is to be said of coverage.
+    `reaches` contains half the width of the 95 % interval of each repetition, or None for a
+    repetition without one. It is None if the coverage is not evaluated.
     """
     found = np.asarray(values, dtype=float)
     count = len(found)
@@ -162,28 +167,33 @@ def repeated(
 
 
 def binomial_interval(covered: int, asked: int) -> tuple[float, float]:
-    """Where a probability is by 95 %, of so many of so many (Clopper and Pearson 1934)."""
+    """Return the 95 % interval of a binomial probability (Clopper and Pearson 1934).
+
+    There were `covered` successes in `asked` trials.
+    """
     tail = (1 - LEVEL) / 2
     low = 0.0 if covered == 0 else float(betaincinv(covered, asked - covered + 1, tail))
     high = 1.0 if covered == asked else float(betaincinv(covered + 1, asked - covered, 1 - tail))
     return low, high
 
 
-# Data of the fitted model with blocks of the residuals in place of noise from a model.
+# Data of the fitted model with blocks of the residuals instead of noise from a noise model.
 #
-# Circular moving blocks (Politis and Romano 1992): rows of residuals are taken in blocks that
-# begin anywhere and go on at the first row after the last one, so that every row is as likely as
-# another. A row is one of all channels at an instant, whose residuals stay together.
+# Circular moving blocks (Politis and Romano 1992): rows of residuals are taken in blocks that start
+# at any row and wrap around from the last row to the first, so every row is equally likely. A row
+# contains all channels at one time, so residuals of the same time stay together.
 
-_LARGEST_SHARE = 1 / 3  # of a run: shorter ones would be as many blocks as nobody can shuffle
+# Largest block length as a fraction of the run. Longer blocks would leave too few blocks to
+# shuffle.
+_LARGEST_SHARE = 1 / 3
 
 
 @dataclasses.dataclass(frozen=True)
 class Residuals:
-    """Residuals of a run, ready to be taken in blocks of a length in samples.
+    """Residuals of a run, prepared for resampling in blocks of `length` samples.
 
-    They are recorded minus predicted, SI, with mean 0, as large as the noise; NaN where nothing was
-    measured.
+    The residuals are recorded minus predicted values, SI. They have mean 0 and are scaled to the
+    size of the noise. They are NaN where nothing was measured.
     """
 
     channels: tuple[str, ...]
@@ -199,22 +209,26 @@ class Residuals:
         noise: Mapping[str, ChannelNoise],
         inflation: float,
     ) -> Self:
-        """Those of a run, which are `inflation` smaller than the noise: parameters follow it."""
+        """Prepare the residuals of a run.
+
+        `inflation` scales the residuals up to the size of the noise, because the fitted parameters
+        absorb part of it.
+        """
         channels = tuple(run.observations)
         table = np.stack([predicted[name] for name in channels], axis=-1)
         recorded = np.stack([run.observations[name] for name in channels], axis=-1)
         rest = recorded - table
         measured = ~np.isnan(rest)
         count = np.maximum(measured.sum(axis=0), 1)
-        # Else a channel that the model misses would miss it twice.
+        # Without subtracting the mean, a model error of a channel would be counted twice.
         rest = (rest - np.nansum(rest, axis=0) / count) * inflation
         return cls(channels, table, rest, block_length(run, rest, [noise[c] for c in channels]))
 
     def again(self, random: np.random.Generator) -> dict[str, np.ndarray]:
-        """What another experiment would have recorded, by channel, SI; NaN where this one has none.
+        """Draw the values that a repeated experiment would have recorded, by channel, SI.
 
-        A cell that was measured, and gets a row in which its channel was not, gets any residual of
-        the channel.
+        The values are NaN where this recording has none. If a measured cell receives a row in which
+        its channel was not measured, a random residual of that channel is used instead.
         """
         count = len(self.residuals)
         starts = random.integers(count, size=-(-count // self.length))
@@ -233,12 +247,13 @@ class Residuals:
 def block_length(
     run: Run, residuals: Float[np.ndarray, "sample channel"], noises: Sequence[ChannelNoise]
 ) -> int:
-    """Samples of a block: n^(1/3), or more where residuals are correlated.
+    """Return the number of samples of a block: n^(1/3), or more if the residuals are correlated.
 
-    For noise with autocovariances R(k) the best length is (3/2 (G/g)^2 n)^(1/3), with G the sum of
-    |k| R(k) and g that of R(k) (Politis and White 2004, "Automatic block-length selection", for
-    circular blocks); here of the channel that remembers longest, by its fitted noise, or as an
-    AR(1) of its residuals where that is white.
+    For noise with autocovariances R(k) the optimal length is (3/2 (G/g)^2 n)^(1/3), where G is the
+    sum of |k| R(k) and g the sum of R(k) (Politis and White 2004, "Automatic block-length
+    selection", for circular blocks). The length for the channel with the longest correlation is
+    used. Its correlation follows from its fitted noise model, or from an AR(1) model of its
+    residuals if the fitted noise is white.
     """
     count = len(residuals)
     step = 1.0 if run.times is None else float(np.median(np.diff(run.times)))
@@ -257,7 +272,7 @@ def block_length(
 
 
 def _lag_one(values: Float[np.ndarray, " sample"]) -> float:
-    """Correlation of neighbours, 0 where it is within that of white noise, and below 0.99."""
+    """Return the correlation at lag one: 0 if consistent with white noise, and at most 0.99."""
     both = ~np.isnan(values[1:]) & ~np.isnan(values[:-1])
     power = np.nansum(values**2) / max(int(np.sum(~np.isnan(values))), 1)
     if both.sum() < 3 or power == 0:
@@ -269,10 +284,12 @@ def _lag_one(values: Float[np.ndarray, " sample"]) -> float:
 def replicates(
     fitted: Fitted, first: int, count: int, method: Method, whole: bool, seed: int
 ) -> list[dict[str, Any]]:
-    """A task: repetitions of a fit, whose random numbers are of the seed and the number of each.
+    """Task: repeat a fit with resampled data.
 
-    Of each: `converged`, `reason`, `values` and `reach` (half of a 95 % interval, None without one)
-    in the order of `Optimum.labels`, `derived` by name, and the labels in `bounds`.
+    The random numbers depend only on the seed and the number of the repetition. Returns, for each
+    repetition, `converged`, `reason`, `values` and `reach` (half the width of the 95 % interval;
+    None without one) in the order of `Optimum.labels`, `derived` by name, and the labels of the
+    parameters at their `bounds`.
     """
     optimum = fitted.optimum()
     sources = _sources(optimum) if method == "block" else []
@@ -301,10 +318,10 @@ def replicates(
 
 
 def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
-    """What each run would have recorded of the fitted model, with noise of the fitted noise model.
+    """Simulate each run with the fitted model and noise drawn from the fitted noise model.
 
-    It is larger where standard errors are scaled, because residuals exceed what is stated. SI, by
-    channel; NaN where nothing was measured.
+    The noise is larger than the noise model states if the standard errors are scaled because the
+    residuals exceed the stated noise. Values in SI, by channel; NaN where nothing was measured.
     """
     state, factor = optimum.state, np.sqrt(optimum.statistics.scale)
     several = state.noise.weights or [None] * len(state.setup.runs)
@@ -327,9 +344,10 @@ def noisy(optimum: Optimum, random: np.random.Generator) -> Recorded:
 def known_again(
     optimum: Optimum, random: np.random.Generator
 ) -> Float[np.ndarray, " prior"] | None:
-    """Centres that the priors might have had: each is a measurement, and is made again.
+    """Draw new centres of the priors, because each prior represents a measurement.
 
-    Were they the same in each repetition, all would be drawn to where the first fit was drawn to.
+    With the same centres in each repetition, all repetitions would be pulled towards the same
+    values as the first fit.
     """
     priors = optimum.state.problem.priors
     if not len(priors.columns):
@@ -353,7 +371,7 @@ def _sources(optimum: Optimum) -> list[Residuals]:
 def _found(
     result: FitResult, optimum: Optimum, statistics: Statistics, converged: bool, reason: str
 ) -> dict[str, Any]:
-    """How and where a repetition ended, with what a result would say of it."""
+    """Return how and where a repetition ended, and the quantities that a result would report."""
     values = statistics.values
     reach = [
         None
@@ -377,7 +395,8 @@ def _found(
     }
 
 
-# Repetitions of a task, which share a program; and numbers that are the same whoever does them.
+# Repetitions per task. They share a compiled program. The chunks, and therefore the numbers, do not
+# depend on the executor.
 CHUNK = 16
 
 _LARGEST = 1_000_000
@@ -396,33 +415,40 @@ def bootstrap(
 ) -> Bootstrap:
     """Repeat a fit with data that might have been recorded instead (Efron 1979).
 
-    The standard errors of a result are those of a linear model with the noise that it found. The
-    repetitions know nothing of that: they say what bias curvature makes, how far estimates really
-    spread, how often the 95 % interval holds the truth, and how many fits come back at all.
+    The standard errors of a result assume a linear model and the estimated noise. The repetitions
+    do not make this assumption. They show the bias due to nonlinearity, the actual spread of the
+    estimates, how often the 95 % interval contains the true value, and how many of the fits
+    converge.
 
-    - **parametric**: what the fitted model predicts, with noise of the fitted noise model, white
-      and correlated, at the times and in the cells that were measured. The truth is known here,
-      but model and noise are taken for right.
-    - **block**: with blocks of the residuals in place of that noise. They have the memory and the
-      sizes that the residuals really have; the intervals of the result are not judged.
+    - **parametric**: predictions of the fitted model plus noise drawn from the fitted noise model,
+      white and correlated, at the times and in the cells that were measured. The truth is known
+      here, but the model and the noise are assumed correct.
+    - **block**: predictions plus resampled blocks of the residuals. The blocks preserve the
+      correlation and the distribution of the actual residuals. The coverage of the intervals is not
+      evaluated.
 
-    What priors know is drawn again, too, as one more measurement.
+    The centres of priors are also drawn again, because each prior is treated as a further
+    measurement.
 
-    Each repetition begins where the fit ended, and so cannot tell whether others start to end
-    elsewhere (`giajax.multi_start` does). Its noise is held as fitted, weights of outliers too,
-    unless it is fitted whole, which takes about ten times as long.
+    Each repetition starts at the optimum of the fit, so other optima are not sought (use
+    `giajax.multi_start`). The noise and the weights of outliers are fixed at their fitted values
+    unless `whole` is set, which takes about ten times as long.
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
-        size: repetitions, 2 at least; after Ctrl-C, those count that were done.
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
+        size: number of repetitions, at least 2; after Ctrl-C the completed repetitions are used.
         method: "parametric" or "block".
-        whole: fit each as the data were, with the noise to be found again.
-        seed: of all repetitions; repetition n has random numbers of its own, of the seed and n.
-        how: who does the tasks of 16 repetitions, as of `giajax.runtime.execution.Execution`.
+        whole: repeat the complete fit each time, including the estimate of the noise.
+        seed: seed of all repetitions; the random numbers of repetition n depend only on the seed
+            and n.
+        how: execution of the tasks, each of 16 repetitions, as for
+            `giajax.runtime.execution.Execution`.
 
     Raises:
-        InputError: other runs than those of the result, which has not converged; a size or method
-            that is none; a whole fit with priors; or not two repetitions that could be done.
+        InputError: the runs do not match the result; the result has not converged; the size or
+            the method is invalid; `whole` is set for a fit with priors; or fewer than two
+            repetitions could be completed.
 
     Example:
         >>> found = giajax.bootstrap(result, runs, size=400)  # doctest: +SKIP
@@ -476,7 +502,7 @@ def bootstrap(
 def _parameters(
     result: FitResult, optimum: Optimum, back: Sequence[dict[str, Any]], *, judged: bool
 ) -> dict[str, Repeated]:
-    """What the fits that came back say, by name."""
+    """Return the statistics of the converged repetitions, by name."""
     known = optimum.statistics
     found = {}
     for place in known.determined:
@@ -496,8 +522,8 @@ def _parameters(
 
 
 def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]:
-    """What the repetitions leave out."""
-    notes = ["each repetition starts at the optimum of the fit, so other optima are not searched"]
+    """Return sentences on the limitations of the repetitions."""
+    notes = ["each repetition starts at the optimum of the fit, so other optima are not sought"]
     if not whole:
         notes.append(
             "the noise is fixed at its fitted value, so the uncertainty of the noise estimate is "
@@ -510,7 +536,7 @@ def _notes(result: FitResult, method: Method, *, whole: bool) -> tuple[str, ...]
         if not result.loss.is_linear:
             notes.append(
                 "the simulated noise is normally distributed, with a larger variance in cells "
-                "with a low weight; the other cells contain no outliers"
+                "with a low weight, and the other cells contain no outliers"
             )
     else:
         notes.append(

@@ -1,4 +1,4 @@
-"""What may be asked of a fitted model: each parameter that it holds or leaves out."""
+"""Candidates for score tests: the fixed and omitted parameters of a fitted model."""
 
 import contextlib
 import dataclasses
@@ -13,19 +13,21 @@ from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, left_out
 from ._score import responses_of, white_noise
 
-# A test of a part that is left out begins where it ought to do nothing. Added mass of 0 is none in
-# still air; but in a recorded wind that changes, what is on has the pressure of the air that speeds
-# up as well, which acts on whatever displaces it.
+# The test of an omitted part starts at the neutral value of its parameter, at which the part should
+# have no effect. For example, an added mass of 0 has no effect in still air. In a recorded wind
+# that changes with time, however, switching on the added mass also switches on the pressure of the
+# accelerating air, which acts on every body that displaces air.
 _REASON = (
     "the neutral value of the parameter also changes the predictions for these runs, so the "
     "parameter cannot be tested: free it in a fit"
 )
 
-_NOTICED = 0.05  # of the noise of a channel: what the steps of an integrator change is far less
+# Fraction of the noise of a channel. Changes of the integrator's steps have a much smaller effect.
+_NOTICED = 0.05
 
 
 def is_disturbed(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> bool:
-    """Whether residuals with all parts on, at neutral values, are not those that the fit had."""
+    """Return whether switching on all parts at neutral values changes the residuals of the fit."""
     for run, record, response in zip(runs, result.runs, at, strict=True):
         rest = response.predicted - response.observed
         for place, name in enumerate(response.channels):
@@ -38,15 +40,16 @@ def is_disturbed(result: FitResult, runs: Sequence[Run], at: Sequence[Response])
 
 
 def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
-    """What of a disturbed model cannot be tested at its neutral value, with the reason, by path.
+    """Return the parts whose neutral value changes the predictions, with the reason, by path.
 
-    Found by halving, because each set of parts is a program of its own.
+    The parts are found by bisection, because each set of parts requires the compilation of a
+    program.
     """
     at = responses_of(result, runs, result.model)
     noise = white_noise(result, runs, at)
     parts = []
     for path, absent in left_out(result.model).items():
-        with contextlib.suppress(InputError):  # It is not asked for.
+        with contextlib.suppress(InputError):  # A part that cannot be set is not tested.
             if not absent.declaration.has_states:
                 absent.set(result.model, absent.declaration.neutral)
                 parts.append(path)
@@ -63,9 +66,9 @@ def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
         )
 
     def within(paths: Sequence[str]) -> list[str]:
-        """Those of some paths of which at least one ought to change something."""
+        """Return the paths that change the predictions; at least one of the given paths should."""
         if len(paths) < 2:
-            # If none does by itself, it is the integrator's steps that do.
+            # If no part has an effect by itself, the difference is due to the integrator's steps.
             return [path for path in paths if changes([path])]
         first, second = paths[: len(paths) // 2], paths[len(paths) // 2 :]
         in_first = changes(first)
@@ -77,15 +80,19 @@ def not_neutral(result: FitResult, runs: Sequence[Run]) -> dict[str, str]:
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """One direction of the parameters that may be asked for: a parameter, or an element of it.
+    """Direction in parameter space that can be tested: a parameter, or an element of a parameter.
 
-    A factor, of value 1, is of an array whose elements change in proportion.
+    A candidate of the kind "factor" has value 1 and scales all elements of an array in proportion.
 
     Attributes:
+        path: path of the parameter, with an index for an element.
+        kind: kind of the suspect.
         unit: SI unit of the amount.
+        value: current value, SI.
+        lower, upper: bounds of the value, SI.
         size: typical size of the value.
-        direction: what a unit of the amount changes.
-        group: path of the parameter whose elements are asked for together; "" for none.
+        direction: change of the parameter per unit of the amount.
+        group: path of the parameter whose elements are tested together; "" for none.
     """
 
     path: str
@@ -101,12 +108,13 @@ class Candidate:
 
 @dataclasses.dataclass(frozen=True)
 class Inquiry:
-    """A model with all parts on that it leaves out, and what may be asked of it.
+    """Model with all omitted parts switched on, and the candidates that can be tested.
 
     Attributes:
-        free: directions of the parameters that were fitted, in their order.
-        candidates: all others, apart from what follows from others.
-        impossible: what cannot be switched on in this model, with the reason, by path.
+        model: model with all parts.
+        free: directions of the fitted parameters, in their order.
+        candidates: all other directions, except parameters that follow from others.
+        impossible: parts that cannot be switched on in this model, with the reason, by path.
         following: paths of the elements that follow from others.
     """
 
@@ -126,16 +134,17 @@ def inquiry(
     *,
     beside: Sequence[str] = (),
 ) -> Inquiry:
-    """The fitted model with everything on, and the directions of its parameters.
+    """Switch on all omitted parts of a fitted model and list the directions of its parameters.
 
     Arguments:
         model: the fitted model.
-        free: paths of the parameters that were fitted.
-        each: paths of arrays whose elements are asked for one by one, and together, in place of
-            all in proportion. An InputError where one is not an array of this model.
-        ties: expressions by the paths of what follows from them.
-        without: paths of what is not to be switched on, and why.
-        beside: paths of arrays whose elements are asked for one by one, beside all in proportion.
+        free: paths of the fitted parameters.
+        each: paths of arrays whose elements are tested one by one and jointly, instead of all in
+            proportion. An `InputError` is raised for a path that is not an array of this model.
+        ties: expressions of the tied parameters, by path.
+        without: paths of parts that are not to be switched on, with the reason.
+        beside: paths of arrays whose elements are tested one by one in addition to all in
+            proportion.
     """
     impossible = dict(without or {})
     for path, absent in left_out(model).items():
@@ -153,7 +162,7 @@ def inquiry(
                 "one value per link, joint or axis"
             )
     for path in {*each, *beside}.intersection(known):
-        # One number for all joints becomes one for each.
+        # Replace one value for all joints by one value for each joint.
         model = in_full(model, known[path])
     known = declared(model)
     tied = resolved_ties(model, ties or {})
@@ -190,7 +199,7 @@ def _candidates(
     each: Sequence[str],
     beside: Sequence[str],
 ) -> list[Candidate]:
-    """The directions of one parameter that is held, or of what is held of it."""
+    """Return the candidates for one parameter, or for its elements that are fixed."""
     path, about = parameter.path, parameter.declaration
     value = np.asarray(parameter.value(model), dtype=float)
     held = np.asarray([f"{path}[{i}]" not in moved for i in range(value.size)])
@@ -218,6 +227,6 @@ def _candidates(
     if np.all(numbers == numbers[0]):
         return [made(path, float(numbers[0]), held.astype(float)), *single]
     along = Direction(path, np.where(held, value, 0.0))
-    # Values that have a sign keep it.
+    # A quantity that cannot be negative must not change its sign.
     lower = 0.0 if about.lower >= 0 else -np.inf
     return [Candidate(path, "factor", "", 1.0, lower, np.inf, 1.0, along), *single]

@@ -1,4 +1,4 @@
-"""Which hysteresis model: by loops that it was not fitted to, and by AIC and BIC."""
+"""Choice of a hysteresis model by the error on held-out loops, and by AIC and BIC."""
 
 import dataclasses
 import shlex
@@ -17,13 +17,13 @@ from ..schema.parameters import default_free
 
 @dataclasses.dataclass(frozen=True)
 class CandidateModel:
-    """A model that may be chosen: what of `[hysteresis]` makes it, and what to free in it, too."""
+    """Hysteresis model that can be chosen: its `[hysteresis]` keys and further free parameters."""
 
     section: Mapping[str, Any]
     free: tuple[str, ...] = ()
 
     def applied_to(self, run: Run) -> Run:
-        """A run with this model in its `[hysteresis]`, whose other keys stay."""
+        """Return a run whose `[hysteresis]` section specifies this model and keeps other keys."""
         sections, known = run.definition.contents(), hysteresis_keys(self.section["operator"])
         kept = {
             key: value
@@ -47,17 +47,18 @@ CANDIDATES: dict[str, CandidateModel] = {
     "preisach": CandidateModel({"operator": "preisach"}, ("bias",)),
     "bouc_wen": CandidateModel({"operator": "bouc_wen"}),
 }
-"""The models that may be chosen, by the names that `giajax choose` gives them."""
+"""The candidate models, by their names in `giajax choose`."""
 
 
-_LEAST = 8  # with fewer measured values than this a part of a run is no loop
+# A part of a run with fewer measured values than this is not a loop.
+_LEAST = 8
 
 
 def parted(run: Run, fraction: float) -> tuple[Run, Run]:
-    """The run without its last measurements, to fit to, and with only those, to judge by.
+    """Split a run into a copy with its first measurements and a copy with the rest, for validation.
 
-    Both have the whole input, which a memory follows. An InputError where the fraction is none
-    between 0 and 1, or leaves too few values to a part.
+    Both copies contain the whole input, because the state of the hysteresis depends on it. An
+    `InputError` is raised if the fraction is not between 0 and 1, or if a part has too few values.
     """
     if not 0 < fraction < 1:
         raise InputError(f"the held-out fraction is {fraction:g}: give a value between 0 and 1")
@@ -79,17 +80,17 @@ def parted(run: Run, fraction: float) -> tuple[Run, Run]:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """Errors of prediction of one channel, in the unit of the recording.
+    """Prediction errors of one channel, in the unit of the recording.
 
     Attributes:
         run: name of the run; "all N" for N runs together.
-        channel: its name, without unit.
-        unit: of the recording.
+        channel: name of the channel, without the unit.
+        unit: unit of the recording.
         n: number of measured values.
         rmse: root mean square error of the model.
         largest: largest absolute error of the model.
         reference_rmse: root mean square error of the other model; None without one.
-        pooled: whether several runs are taken together.
+        pooled: whether the comparison combines several runs.
     """
 
     run: str
@@ -103,7 +104,7 @@ class Comparison:
 
     @property
     def ratio(self) -> float | None:
-        """Error of the model relative to that of the other one; None without one."""
+        """Error of the model divided by the error of the other model; None without one."""
         if self.reference_rmse is None:
             return None
         return self.rmse / self.reference_rmse if self.reference_rmse else float("nan")
@@ -117,17 +118,19 @@ def compare(
     refit_initial: bool = False,
     without: Sequence[str] = (),
 ) -> list[Comparison]:
-    """Errors of prediction, channel by channel.
+    """Return the prediction errors of a model for each channel.
 
     Arguments:
-        model: what predicts.
-        runs: what was recorded; each starts as its definition says.
+        model: the model to be tested.
+        runs: recorded runs; each starts from the initial state in its definition.
         other: another model for the same runs.
-        refit_initial: fit the initial state of each run first, for each model by itself.
-        without: of what each run has another one, as of `giajax.predict`.
+        refit_initial: fit the initial state of each run first, separately for each model.
+        without: names of the parts of the model that are taken from the sidecar of each run
+            instead, as for `giajax.predict`.
 
     Returns:
-        One for each channel of each run, and of several runs for each channel of all together.
+        One comparison for each channel of each run. For several runs, one comparison of all runs
+        together for each channel is appended.
     """
     comparisons = []
     for run in runs:
@@ -141,7 +144,7 @@ def compare(
                 channel=name,
                 unit=channel.unit,
                 n=channel.n,
-                # None, which only a file holds, was not finite.
+                # A value that was not finite is stored as None in files.
                 rmse=float("inf") if channel.rmse is None else channel.rmse,
                 largest=float("inf") if channel.largest is None else channel.largest,
                 reference_rmse=None if reference is None else reference.channels[name].rmse,
@@ -152,7 +155,7 @@ def compare(
 
 
 def _pooled(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """One comparison a channel for all runs together."""
+    """Combine the comparisons of all runs to one comparison per channel."""
     pooled = []
     for channel, unit in dict.fromkeys((one.channel, one.unit) for one in comparisons):
         those = [one for one in comparisons if (one.channel, one.unit) == (channel, unit)]
@@ -174,7 +177,7 @@ def _pooled(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
 
 def _together(counts: Sequence[int], errors: Sequence[float]) -> float:
-    """Root mean square error of all values of several runs."""
+    """Return the root mean square error over all values of several runs."""
     weights = np.asarray(counts) / np.sum(counts)
     return float(np.sqrt(np.sum(weights * np.asarray(errors) ** 2)))
 
@@ -190,17 +193,18 @@ def _errors(model: AbstractModel, run: Run, refit: bool) -> PredictionErrors:
 
 @dataclasses.dataclass(frozen=True)
 class Candidate:
-    """One model and how well it does.
+    """One hysteresis model and its errors.
 
     Attributes:
-        name: of `CANDIDATES`.
+        name: name in `CANDIDATES`.
         parameters: number of fitted parameters.
-        status: of the fit.
-        rmse: root mean square error where it was fitted, in the unit of the run's output.
-        held_out_rmse: where it was not.
-        aic: Akaike's criterion, n log(RSS / n) + 2 (k + 1): the noise counts as a parameter.
-        bic: Schwarz' criterion, n log(RSS / n) + (k + 1) log n.
-        result: the fit.
+        status: status of the fit.
+        rmse: root mean square error on the fitted data, in the unit of the run's output.
+        held_out_rmse: root mean square error on the held-out data, in the same unit.
+        aic: Akaike's information criterion, n log(RSS / n) + 2 (k + 1): the noise counts as a
+            parameter.
+        bic: Schwarz's (Bayesian) information criterion, n log(RSS / n) + (k + 1) log n.
+        result: result of the fit.
     """
 
     name: str
@@ -214,16 +218,16 @@ class Candidate:
 
     @property
     def converged(self) -> bool:
-        """Whether its fit converged: only then are its errors those of the model."""
+        """Whether the fit converged. Only then do the errors characterise the model."""
         return self.status == "converged"
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """All candidates and the unit of their errors.
+    """All candidates, and the unit of their errors.
 
-    Those whose fit converged come first, the least error on the held-out loops at the top: the
-    errors of the others are of a fit that ended early, and say little of the model.
+    Candidates whose fit converged come first, in order of their error on the held-out loops. The
+    errors of a fit that ended early do not characterise the model.
     """
 
     candidates: tuple[Candidate, ...]
@@ -231,7 +235,7 @@ class Choice:
 
     @property
     def best(self) -> Candidate:
-        """The first: converged, if any is, and with the least error on the held-out loops."""
+        """The first candidate: if any converged, the one with the smallest held-out error."""
         return self.candidates[0]
 
 
@@ -243,24 +247,25 @@ def choose_hysteresis(
     candidates: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
-    """Fit several hysteresis models and compare them on loops that none of them was fitted to.
+    """Fit several hysteresis models and compare their errors on held-out loops.
 
     Arguments:
-        runs: hysteresis runs to fit to.
-        held_out: other runs to judge by. Without any, the last part of each run is held out: the
-            model follows the whole input, and only its earlier output counts in the fit.
-        fraction: the part that is held out where no run is given, between 0 and 1.
-        candidates: names of `CANDIDATES`; all by default.
-        progress: called with each name before it is fitted.
+        runs: hysteresis runs to be fitted.
+        held_out: further runs for validation. Without any, the last part of each run is held out:
+            the model receives the whole input, but only the earlier output is fitted.
+        fraction: fraction of each run that is held out if no further run is given, between 0 and 1.
+        candidates: names in `CANDIDATES`; defaults to all.
+        progress: function that is called with each name before the model is fitted.
 
     Raises:
-        InputError: an unknown name or none, a fraction that leaves too little, or other runs.
+        InputError: a name is unknown; no name is given; the fraction leaves too few values; or a
+            run is not a hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
     unknown = [name for name in names if name not in CANDIDATES]
     if unknown or not names:
         which = f" '{unknown[0]}'" if unknown else ""
-        raise InputError(f"unknown candidate{which}: choose from: {', '.join(CANDIDATES)}")
+        raise InputError(f"unknown candidate{which}: choose from {', '.join(CANDIDATES)}")
     if not runs or any(run.model != HysteresisModel.kind for run in (*runs, *held_out)):
         raise InputError(
             "only hysteresis models can be compared: give runs of the hysteresis model"
@@ -285,7 +290,7 @@ def choose_hysteresis(
 
 
 def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
-    """A sentence on the command that compares operators, where no run names one; else empty."""
+    """Return a sentence that suggests `giajax choose` if no run specifies an operator, else ""."""
     if any(
         run.model != HysteresisModel.kind
         or run.definition.section(HysteresisSection).operator is not None
@@ -294,7 +299,7 @@ def choice_hint(runs: Sequence[Run], paths: Sequence[str]) -> str:
         return ""
     words = " ".join(f"--data {shlex.quote(path)}" for path in paths)
     return (
-        "no sidecar states an operator in [hysteresis], so the default operator was fitted: to "
+        "no sidecar specifies an operator in [hysteresis], so the default one was fitted: to "
         f"compare it with the other operators, run giajax choose {words}"
     )
 

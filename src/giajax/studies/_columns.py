@@ -1,4 +1,4 @@
-"""Columns and points that are taken for others, or lost: tried without a fit."""
+"""Tests for recorded columns and points that were confused or lost, without a fit."""
 
 import functools
 import itertools
@@ -25,9 +25,12 @@ from ._refit import with_fitted_states
 from ._score import Projected, models_of_runs, neighbours, weighted_rest
 
 _AXES = "xyz"
-_SIMULATED = 60  # mistakes of commands that are tried at most
+# Maximum number of mistakes of commands that are tested.
+_SIMULATED = 60
 
-_FAR_LESS = 4.0  # times; what missing physics looked like took up to half of chi-square
+# Required ratio of chi-square. Mistakes that only compensated for missing physics reduced
+# chi-square by up to a half.
+_FAR_LESS = 4.0
 
 
 def mistaken_rows(
@@ -38,12 +41,13 @@ def mistaken_rows(
     chi_square: float,
     rest: Projected,
 ) -> tuple[list[Suspect], int]:
-    """The best of other axes, and of other names and units of columns; and how many were tried.
+    """Return the best test of other axes and of other columns, and the number of tests.
 
-    Another name or unit has to leave far less than the columns as they are, with the same values:
-    where physics is missing, a wrong one may leave less, too. Small mistakes are not named for it.
-    Commands are tried with the initial values of the fit: a fit to wrong ones has bent its
-    model to them, and each takes a simulation.
+    Another name or unit of a column must reduce chi-square by a large factor, with the same values
+    of the parameters, because a wrong name may reduce it slightly if the model omits an effect.
+    Small mistakes are therefore not reported. Mistakes of commands are tested with the initial
+    values of the fit only: a fit to wrong commands has distorted its model to match them, and each
+    test requires a simulation.
     """
     asked = mistakes_of(result.model, runs)
     points = [models_of_runs(result)]
@@ -56,7 +60,7 @@ def mistaken_rows(
     simulated = _simulated(asked)
     best: dict[SuspectKind, tuple[float, str, bool]] = {}
     for number, models in enumerate(points if asked else []):
-        # The same channels each time: one program.
+        # All predictions have the same channels, so only one program is compiled.
         predicted = functools.partial(_predicted, models, channels=channels)
         as_they_are = predicted(starting)
         columns = [
@@ -72,7 +76,7 @@ def mistaken_rows(
                     continue
                 try:
                     whole = predicted([mistake.undone(run) for run in starting])
-                except InputError:  # No arm can follow them, which is no mistake then.
+                except InputError:  # No arm can follow these commands, so this is not the mistake.
                     continue
             seen = [
                 _seen_with(mistake, of_run, response.channels)
@@ -89,7 +93,8 @@ def mistaken_rows(
         drop = chi_square - other
         if drop <= 0:
             continue
-        # Of two models without anything free, a likelihood ratio of 1/c has a probability below c.
+        # For two models without free parameters, a likelihood ratio of 1/c has a probability below
+        # c.
         scale = max(1.0, other / max(rest.values - rest.parameters, 1))
         p_value = float(min(1.0, np.exp(-drop / scale / 2)))
         rows.append(_row_of(name, kind, drop, p_value, begun=begun))
@@ -98,20 +103,20 @@ def mistaken_rows(
 
 
 def mistakes_of(model: AbstractModel, runs: Sequence[Run]) -> list[Mistake]:
-    """The mistakes of columns, of an arm with as many links as the model has."""
+    """Return the possible mistakes of columns for an arm with the number of links of the model."""
     lengths = declared(model).get(LINKS.length.path)
     return mistakes(runs, None if lengths is None else int(np.size(lengths.value(model))))
 
 
 def _asked_of(run: Run, asked: Sequence[Mistake]) -> list[str]:
-    """The channels of a run, and those that it would have without one of the mistakes."""
+    """Return the channels of a run, and those it would have without one of the mistakes."""
     there = set(run.observations)
     sources = [each.sources.items() for each in asked if each.kind != "commands"]
     return sorted(there | {of for some in sources for name, (of, _) in some if name in there})
 
 
 def _simulated(asked: Sequence[Mistake]) -> set[str]:
-    """Names of mistakes of commands, each of which takes a simulation: those of nearest joints."""
+    """Return the names of the mistakes of commands to be simulated, for the nearest joints."""
 
     def distance(mistake: Mistake) -> int:
         names = ((name, of) for name, (of, _) in mistake.sources.items())
@@ -131,7 +136,7 @@ def _predicted(
 def _seen_with(
     mistake: Mistake, predicted: Mapping[str, np.ndarray], channels: Sequence[str]
 ) -> np.ndarray:
-    """Predictions of channels as a recording with a mistake has them, shape (sample, channel)."""
+    """Return predictions as if recorded with a mistake, shape (sample, channel)."""
     of = [mistake.sources.get(name, (name, 1.0)) for name in channels]
     return np.stack([times * predicted[name] for name, times in of], axis=-1)
 
@@ -145,7 +150,7 @@ def _row_of(
     *,
     begun: bool = False,
 ) -> Suspect:
-    """A row of something that is so or not, with nothing to estimate."""
+    """Return the row of a hypothesis that is true or false and has no value to estimate."""
     return Suspect(
         path=path,
         kind=kind,
@@ -162,16 +167,22 @@ def _row_of(
     )
 
 
-_STILL = 2.0  # times the variance of the noise: what does not move has no more
-_JUMP = 20.0  # of chi-square, that two points jump by where they are exchanged from one row on
-_NEARER = 0.25  # of the squares by which they jump: so near they are to where they would be
-_ALWAYS = 0.9  # of what the best rows take: points that are exchanged in all of them take as much
+# Factor on the variance of the noise. A point that stands still has no larger variance.
+_STILL = 2.0
+# Minimum jump in chi-square of two points between the rows at which they are exchanged.
+_JUMP = 20.0
+# Fraction of the squared jump. After the exchange, the points must be this near to the expected
+# positions.
+_NEARER = 0.25
+# Fraction of the decrease for the best rows. Points that are always exchanged reach it with all
+# rows.
+_ALWAYS = 0.9
 
 Cells = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of a point in the rows of all runs: coordinates recorded, predicted, and their factors."""
+"""Recorded and predicted coordinates of a point in the rows of all runs, and their weights."""
 
 Way = tuple[float, int, int]
-"""What something takes from chi-square, the first of its rows, and the one after the last."""
+"""Decrease of chi-square, first row of a sequence of rows, and the row after its last one."""
 
 
 def points_row(
@@ -181,13 +192,13 @@ def points_row(
     chi_square: float,
     rest: Projected,
 ) -> list[Suspect]:
-    """The best of recorded points that some rows in turn have exchanged, lost or taken for others.
+    """Return the best hypothesis of exchanged, confused or lost points in consecutive rows.
 
-    Two are exchanged, one shows another, or does not move until the end of its run. The predictions
-    are those where the fit ended; and as a wrong model may have points in the wrong order, or move
-    what has come to rest, the recording by itself has to agree: it jumps where points are exchanged
-    within a run, has two at one place where one shows the other, and moves another one while one
-    does not move.
+    Two points are exchanged, one point shows another, or a point does not move until the end of its
+    run. The predictions at the end of the fit are used. Because a wrong model may have points in
+    the wrong order, or may move a point that has come to rest, the recording itself must also
+    support the hypothesis: points that are exchanged within a run must jump, two points must be at
+    the same place if one shows the other, and another point must move while a lost point does not.
     """
     if any(run.times is None for run in runs):
         return []
@@ -199,7 +210,8 @@ def points_row(
     for first, end in itertools.pairwise(starts):
         for name, found in _lost(cells, int(first), int(end)).items():
             ways[name] = max(ways.get(name, found), found)
-    # Of whole runs as of other names of columns: a wrong model has points in a wrong order, too.
+    # Hypotheses about whole runs must reduce chi-square as much as other names of columns, because
+    # a wrong model also has points in the wrong order.
     ways = {
         name: (drop, first, end)
         for name, (drop, first, end) in ways.items()
@@ -208,19 +220,22 @@ def points_row(
     if not ways:
         return []
     name, (drop, first, end) = max(ways.items(), key=lambda way: way[1][0])
-    # As of axes, for each of the stretches that it might have been.
+    # The likelihood ratio is computed as for axes, and corrected for the number of possible
+    # sequences of rows.
     scale = max(1.0, (chi_square - drop) / max(rest.values - rest.parameters, 1))
-    # What a fit has bent to is both larger and correlated: the larger of the two counts.
+    # Residuals of a distorted fit are both larger and correlated. The larger of the two factors is
+    # used.
     scale = max(scale, _times_white(at, factors, list(cells), first, end))
     likelihood = np.log(len(ways)) + 2 * np.log(starts[-1]) - drop / scale / 2
-    if likelihood > 0:  # As much by chance.
+    if likelihood > 0:  # The decrease may be due to chance.
         return []
     places = [_moment(runs, starts, row) for row in (first, max(end - 1, first))]
     note = f"from {places[0]} to {places[1]}"
     return [_row_of(name, "points", drop, float(np.exp(likelihood)), note)]
 
 
-_FEWEST_ROWS = 16  # of a channel, whose memory says nothing if it has fewer
+# Minimum number of rows from which the correlation of a channel is estimated.
+_FEWEST_ROWS = 16
 
 
 def _times_white(
@@ -230,10 +245,10 @@ def _times_white(
     first: int,
     end: int,
 ) -> float:
-    """How many times as much residuals with a memory take from chi-square by chance.
+    """Return the factor by which correlation increases the decrease of chi-square by chance.
 
-    As neighbouring samples of most points have in common outside of the rows from `first` to
-    `end`, where these are not nearly all.
+    It is relative to white noise. The median correlation of neighbouring samples of the points
+    outside the rows from `first` to `end` is used, or of all rows if too few remain outside.
     """
     found, row = [], 0
     for response, factor in zip(at, factors, strict=True):
@@ -254,7 +269,7 @@ def _times_white(
 def _cells_of_points(
     runs: Sequence[Run], at: Sequence[Response], factors: Sequence[np.ndarray]
 ) -> dict[str, Cells]:
-    """Of each recorded point, in all rows: coordinates observed, predicted, and their factors."""
+    """Return the recorded and predicted coordinates of each recorded point, with their weights."""
     found: dict[str, Cells] = {}
     starts = np.cumsum([0, *(len(response.predicted) for response in at)])
     for run, response, factor, first in zip(runs, at, factors, starts, strict=False):
@@ -275,7 +290,10 @@ def _cells_of_points(
 def _taken_for(
     names: tuple[str, str], pair: tuple[Cells, Cells], starts: np.ndarray
 ) -> dict[str, Way]:
-    """Two points exchanged, and each in the place of the other; nothing of other coordinates."""
+    """Return the decrease if two points are exchanged, and if either shows the other.
+
+    The result is empty for points with different coordinates.
+    """
     factors = [factor for _, _, factor in pair]
     if not np.array_equal(*(np.any(factor > 0, axis=0) for factor in factors)):
         return {}
@@ -292,13 +310,13 @@ def _taken_for(
     total = gains[0] + gains[1]
 
     def edges(first: int, end: int) -> list[np.ndarray]:
-        """The rows before and after each end of a stretch that lies within a run."""
+        """Return the rows before and after each end of a sequence that lies within a run."""
         inner = [row for row in (first, end) if 0 < row < len(rows) and run[row - 1] == run[row]]
         return [rows[row - 1 : row + 1] for row in inner]
 
     first, end = _best_stretch(total)
     if not all(_cross(pair, two) for two in edges(first, end)):
-        # Or they are exchanged from the first row on, and nowhere the other way.
+        # Otherwise the points may be exchanged in all rows.
         always = np.sum(total) > _ALWAYS * np.sum(total[first:end])
         first, end = 0, len(rows) * bool(always)
     found = [(f"{names[0]} and {names[1]} exchanged", total, first, end)]
@@ -321,9 +339,9 @@ def _taken_for(
 
 
 def _cross(pair: tuple[Cells, Cells], rows: np.ndarray) -> bool:
-    """Whether two points go on where the other one was, from a row to the next.
+    """Return whether each of two points continues where the other was, in the next row.
 
-    A cell that was lost makes one of them jump, and to nowhere near the other.
+    If a cell was lost, one point also jumps, but not to the position of the other.
     """
     one, other = pair
     stays = _jump(one, one, rows) + _jump(other, other, rows)
@@ -332,19 +350,23 @@ def _cross(pair: tuple[Cells, Cells], rows: np.ndarray) -> bool:
 
 
 def _stays(pair: tuple[Cells, Cells], rows: np.ndarray) -> bool:
-    """Whether the second point goes on as it was where the first one jumps to it, or from it."""
+    """Return whether the second point moves on steadily where the first jumps to or from it."""
     return _jump(pair[1], pair[1], rows) < _NEARER * _jump(pair[0], pair[0], rows)
 
 
 def _jump(to: Cells, since: Cells, rows: np.ndarray) -> float:
-    """Squares by which a point is off, in the second row, where another would have moved to."""
+    """Return the weighted squared distance of one point from the expected position of another.
+
+    Both are evaluated in the second row. The expected position is the position of the other point
+    (`since`) in the first row plus its predicted motion.
+    """
     moved = np.nan_to_num(since[1][rows[1]] - since[1][rows[0]])
     weight = np.minimum(to[2][rows[1]], since[2][rows[0]])
     return float(np.sum((weight * (to[0][rows[1]] - since[0][rows[0]] - moved)) ** 2))
 
 
 def _lost(cells: Mapping[str, Cells], first: int, end: int) -> dict[str, Way]:
-    """Points that stand still until the end of a run while another one moves."""
+    """Return the hypotheses of points that stand still until the end while another point moves."""
     gains, moves = {}, {}
     for name, (observed, predicted, factor) in cells.items():
         weights = factor[first:end] ** 2
@@ -366,7 +388,7 @@ def _lost(cells: Mapping[str, Cells], first: int, end: int) -> dict[str, Way]:
 
 
 def _best_stretch(gain: np.ndarray) -> tuple[int, int]:
-    """The first of the neighbouring rows with the largest sum, and the one after the last."""
+    """Return the rows in sequence with the largest sum: the first, and the row after the last."""
     total = np.concatenate([[0.0], np.cumsum(gain)])
     end = int(np.argmax(total - np.minimum.accumulate(total)))
     first = int(np.argmin(total[: end + 1]))
@@ -374,14 +396,14 @@ def _best_stretch(gain: np.ndarray) -> tuple[int, int]:
 
 
 def _scatter_from(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted squares of values about their mean from each row on, shape (row,)."""
+    """Return the weighted squares about the mean, from each row to the last, shape (row,)."""
     powers = np.stack([weights, weights * values, weights * values**2])
     count, sums, squares = np.cumsum(powers[:, ::-1], axis=1)[:, ::-1]
     return np.asarray(np.sum(squares - sums**2 / np.where(count > 0, count, 1.0), axis=1))
 
 
 def _moment(runs: Sequence[Run], starts: np.ndarray, row: int) -> str:
-    """The time of one of the rows of all runs."""
+    """Return the time of a row in the concatenated rows of all runs."""
     place = int(np.searchsorted(starts, row, side="right")) - 1
     run = runs[place]
     assert run.times is not None
@@ -391,6 +413,6 @@ def _moment(runs: Sequence[Run], starts: np.ndarray, row: int) -> str:
 def chi_square_of(
     at: Sequence[Response], predicted: Sequence[np.ndarray], factors: Sequence[np.ndarray]
 ) -> float:
-    """Sum of weighted squares of predictions less what was observed."""
+    """Return the weighted sum of squared differences between predictions and observations."""
     rests = map(weighted_rest, at, predicted, factors)
     return sum((float(np.sum(rest**2)) for rest in rests), 0.0)

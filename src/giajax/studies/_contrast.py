@@ -1,4 +1,4 @@
-"""Results side by side: what they say of the same parameters, and which fits the data best."""
+"""Comparison of several results: their parameters, and which of them fits the data best."""
 
 import dataclasses
 import json
@@ -13,7 +13,7 @@ from ._starts import misfit
 
 
 def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
-    """Sentences on why the likelihoods of some results cannot be compared with the first's."""
+    """Return sentences on why likelihoods of results cannot be compared with the first result's."""
     said, first = [], results[0]
     assumed = [_assumed(result) for result in results]
     for result, name, others in zip(results[1:], names[1:], assumed[1:], strict=True):
@@ -39,7 +39,7 @@ def obstacles(results: Sequence[FitResult], names: Sequence[str]) -> list[str]:
 
 
 def _data(result: FitResult) -> list[Any]:
-    """What was fitted: files, windows, channels and how many values of each."""
+    """Return the fitted data: files, windows, channels and the number of values of each channel."""
     return sorted(
         (*_place(run, about), sorted((name, c.n) for name, c in run.channels.items()))
         for run, about in _described(result)
@@ -47,18 +47,18 @@ def _data(result: FitResult) -> list[Any]:
 
 
 def _described(result: FitResult) -> list[tuple[RunFit, dict[str, Any]]]:
-    """The runs with what the configuration says of each; nothing where it does not."""
+    """Return the runs with their entries in the configuration; an entry may be empty."""
     said = [*result.config.get("runs", []), *({} for _ in result.runs)]
     return list(zip(result.runs, said, strict=False))
 
 
 def _place(run: RunFit, about: dict[str, Any]) -> tuple[str, float]:
-    """File and window of a run, by which runs are ordered: fits name them in any order."""
+    """Return the file and window of a run, by which runs are sorted before a comparison."""
     return str(run.sha256), about.get("from_s") or 0.0
 
 
 def _assumed(result: FitResult) -> dict[str, str]:
-    """What must be the same, beside the data, where likelihoods are compared; as text."""
+    """Return the assumptions, as text, that must agree if likelihoods are compared."""
     config = result.config
     ordered = sorted(_described(result), key=lambda described: _place(*described))
     stated = [about.get("noise") for _, about in ordered]
@@ -75,11 +75,13 @@ class ContrastRow:
     """One parameter in several results, in the units of their columns.
 
     Attributes:
-        path: of the parameter.
-        unit: of it; empty for none.
-        estimates: of each result; None where its model does not have it, or has it in another unit.
-        differences: of each result from the first, in joint standard errors, as if the noise of
-            both were independent; None where not both determine it.
+        path: path of the parameter.
+        unit: unit of the parameter; empty if it has none.
+        estimates: estimate in each result; None if its model does not have the parameter, or has it
+            in another unit.
+        differences: difference of each result from the first, divided by the combined standard
+            error, as if the noise of both were independent; None unless both results determine the
+            parameter.
     """
 
     path: str
@@ -90,19 +92,20 @@ class ContrastRow:
 
 @dataclasses.dataclass(frozen=True)
 class ContrastColumn:
-    """One result as a whole.
+    """Summary of one result.
 
     Attributes:
-        name: of the result.
-        model: kind of its model.
+        name: name of the result.
+        model: kind of the model.
         status: how the fit ended.
-        verdict: whether its model describes the data.
+        verdict: whether the model describes the data.
         values: number of fitted values.
-        parameters: number of fitted parameters, those of single runs included.
-        reduced_chi_square: of the fit.
-        bic: Schwarz' criterion less the least of all, from minus twice the logarithm of the
-            likelihood; None where results cannot be compared by it.
-        held_out: the largest `size` of what was held out; None without any.
+        parameters: number of fitted parameters, including those of single runs.
+        reduced_chi_square: reduced chi-square of the fit.
+        bic: Schwarz's (Bayesian) information criterion minus the smallest among the results, from
+            minus twice the log-likelihood; None if the likelihoods cannot be compared.
+        held_out: largest ratio of held-out error to expected error (`size`) among the held-out
+            channels; None without any.
     """
 
     name: str
@@ -118,12 +121,12 @@ class ContrastColumn:
 
 @dataclasses.dataclass(frozen=True)
 class Contrast:
-    """Several results side by side.
+    """Comparison of several results.
 
     Attributes:
-        columns: of the results.
-        rows: of the parameters that any of them fitted.
-        notes: sentences on what keeps them from being compared, and on how to read differences.
+        columns: summaries of the results.
+        rows: parameters that were fitted in at least one result.
+        notes: sentences on why results cannot be compared, and on how to read the differences.
     """
 
     columns: tuple[ContrastColumn, ...]
@@ -132,10 +135,10 @@ class Contrast:
 
 
 def contrast(results: Sequence[FitResult], names: Sequence[str]) -> Contrast:
-    """Put at least two results side by side; nothing is fitted or predicted.
+    """Compare at least two results without fitting or predicting anything.
 
-    Differences are from the first. BIC is there for fits of the same values with the same noise and
-    loss.
+    Differences are relative to the first result. BIC is given only if the fits have the same
+    values, noise and loss.
 
     Example:
         >>> found = contrast([load_result("a"), load_result("b")], ["a", "b"])  # doctest: +SKIP
@@ -196,7 +199,8 @@ def _values(result: FitResult) -> int:
 
 def _parameters(result: FitResult) -> int:
     own = [(path, one) for run in result.runs for path, one in run.parameters.items()]
-    # A group of runs has one value, which each of its runs carries; a state is of one run alone.
+    # A group of runs shares one value, which is stored with each of its runs. A fitted initial
+    # state belongs to one run.
     shared = {(path, one) for path, one in own if path in result.free}
     states = [path for path, _ in own if path not in result.free]
     return len(result.free.keys() - {path for path, _ in shared}) + len(shared) + len(states)

@@ -1,4 +1,4 @@
-"""What runs need beyond a model: it grows until its residuals suggest nothing, with a journal."""
+"""Automatic extension of a model until its residuals suggest no further effect, with a journal."""
 
 import dataclasses
 import functools
@@ -65,20 +65,24 @@ from ._suspects import Suspects, outlying, significant
 from ._systematic import with_suspects
 
 NEARNESS = 6.0
-"""A model whose BIC is not higher by more than this fits nearly as well: odds of 1 to 20."""
+"""Largest excess of BIC at which a model fits nearly as well (odds of 1 to 20)."""
 
 ROBUST = "huber"
-"""The loss where outliers are seen: with others a wrong model takes its misfit for outliers."""
+"""Loss used if outliers are found. With others, a wrong model treats its misfit as outliers."""
 
-_STEPS = 10  # what five omissions take, and three that were taken for others at first
-_ITERATIONS = 30  # of a step
-_MEMBERS = 2  # of a group, beside the first
-_AGAINST = 3.0  # standard deviations of a prior that a nuisance is off by
+# Maximum number of steps. Five omitted effects, three of which are at first mistaken for others,
+# require this many.
+_STEPS = 10
+_ITERATIONS = 30  # maximum number of iterations of a step
+_MEMBERS = 2  # members of a group that are tried in addition to the first
+# Difference between a nuisance and its prior value, in standard deviations of the prior, above
+# which the prior is dropped.
+_AGAINST = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Explained:
-    """An explanation, its final fit, and the runs as that sees them."""
+    """An explanation, its final fit, and the runs as the final fit uses them."""
 
     record: Explanation
     result: FitResult
@@ -86,21 +90,22 @@ class Explained:
 
 
 class _Stopped(Exception):  # noqa: N818
-    """Time is up, or Ctrl-C came."""
+    """The time budget is exhausted, or Ctrl-C was pressed."""
 
 
 JOURNAL = "explain.jsonl"
 FITS = "fits"
-"""In the folder of an explanation, a result for each fit that it made."""
+"""Subfolder of an explanation that contains the result of each of its fits."""
 
 
 class Kept(AbstractFits):
-    """Fits that end with a budget, are told, and are kept in a folder, if there is one.
+    """Fits that observe a time budget, are reported, and are stored in a folder, if one is given.
 
-    The journal has a line for each thing that was computed, in order; where it holds what is asked
-    for next, that is taken. The same steps follow, because each depends on those before alone. One
-    with another head is of something else, and begins again; `asked` may differ, and is that of the
-    journal where it is None.
+    The journal has one line per computed item, in order. If the next line of the journal contains
+    the requested item, it is used instead of a new computation. The steps are reproduced, because
+    each step depends only on the steps before it. A journal with a different head belongs to
+    another explanation and is started again. `asked` may differ from the journal; values that are
+    None are taken from the journal.
     """
 
     def __init__(
@@ -139,7 +144,7 @@ class Kept(AbstractFits):
 
     @property
     def is_late(self) -> bool:
-        """Whether its budget is used up."""
+        """Whether the time budget is exhausted."""
         return self.budget is not None and self.budget.left() <= 0
 
     def _keep(self, line: dict[str, Any]) -> None:
@@ -150,7 +155,7 @@ class Kept(AbstractFits):
             self.at += 1
 
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
-        """As of `Fits`, or of the journal."""
+        """Return the suspects, as for `Fits`, or from the journal."""
         if (line := self._next("suspects")) is not None:
             return from_plain(Suspects, line["suspects"])
         self.say("testing fixed and omitted parameters ...")
@@ -161,7 +166,7 @@ class Kept(AbstractFits):
     def refits(
         self, result: FitResult, changes: Sequence[Change]
     ) -> Sequence[FitResult | InputError]:
-        """As of `Fits`, or of the journal."""
+        """Return the fits, as for `Fits`, or from the journal."""
         before = [self._next(change.name) for change in changes]
         found = [self._recorded(line) for line in before if line is not None]
         missing = changes[len(found) :]
@@ -169,7 +174,7 @@ class Kept(AbstractFits):
             return found
         for change in missing:
             self.say(f"fitting {change.name} ...")
-        # What is not there by then goes on in the fits that follow.
+        # Changes that are not in the journal are fitted.
         ended, stopped = side_by_side(result, missing, self.budget, max_iterations=_ITERATIONS)
         for change, fitted in zip(missing, ended, strict=False):
             kept, file = self._kept(fitted)
@@ -183,7 +188,10 @@ class Kept(AbstractFits):
         return found
 
     def _kept(self, fitted: FitResult | InputError) -> tuple[FitResult | InputError, str]:
-        """A fit as its file has it, so that what follows is the same when the journal is read."""
+        """Return a fit as its file contains it.
+
+        The steps are then the same when the journal is read.
+        """
         if self.folder is None or isinstance(fitted, InputError):
             return fitted, ""
         file = f"{len(list((self.folder / FITS).glob('*.json'))):03d}.json"
@@ -191,11 +199,11 @@ class Kept(AbstractFits):
         write_files({path: fitted.to_json().encode()}, force=True)
         try:
             return load_result(path), file
-        except InputError as error:  # It ended where no file may have its parameters.
+        except InputError as error:  # It ended at parameters that no file may contain.
             return error, file
 
     def _recorded(self, line: dict[str, Any]) -> FitResult | InputError:
-        """A fit of the journal, or why there is none."""
+        """Return a fit from the journal, or the reason why it failed."""
         if line.get("refused") is not None:
             return InputError(line["refused"])
         assert self.folder is not None
@@ -212,12 +220,12 @@ class _Asked:
 
     def __post_init__(self) -> None:
         if self.tries is not None and self.tries < 1:
-            raise ValueError("states fewer than 1 suspect to try at each step")
+            raise ValueError("specifies fewer than 1 suspect to try at each step")
 
 
 @dataclasses.dataclass(frozen=True)
 class _Line:
-    """What was computed: the suspects, or a fit by the name of its file, or why there is none."""
+    """One computed item: the suspects, the file name of a fit, or the reason why a fit failed."""
 
     name: str
     suspects: Suspects | None = None
@@ -233,7 +241,7 @@ class _Line:
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
-    """The whole lines of a journal; none where there is none."""
+    """Return the lines of a journal; an empty list if there is no journal."""
     try:
         data = read_bytes(path, JOURNAL_BYTES)
     except FileNotFoundError:
@@ -261,41 +269,46 @@ def explain(
     folder: str | Path | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Explained:
-    """Grow the model of a fit until its residuals suggest nothing more that it could have.
+    """Extend the model of a fit until its residuals suggest no further effect.
 
-    Step by step as `giajax.ladder`: parameters that were held or left out are freed, choices of the
-    model and of recorded axes are made the other way, and what later steps make superfluous is
-    taken out again. Beyond that,
+    The model is extended step by step as in `giajax.ladder`: fixed or omitted parameters are freed,
+    choices of the model and of the recorded axes are changed, and parameters that later steps make
+    superfluous are removed again. In addition,
 
-    - where outliers are seen, residuals count by Huber's loss from the first step on;
-    - suspects that the data can hardly distinguish are one try, and each of them is fitted;
-    - where a model says that one part is to be believed rather than another (the memory of a joint
-      rather than friction by rate), that one is taken if it fits nearly as well;
-    - a nuisance that the data move far from what is usual is tried without its prior;
-    - without validation or `held_out` the last fifth of each run is kept from all steps, to judge
-      them by, where that leaves a part of each to fit. The final model is fitted to all of it, with
-      the noise that the first one looked for, and where that suggests more, steps go on so.
+    - if outliers are found, Huber's loss is used from the first step on;
+    - suspects that the data can hardly distinguish count as one try, and each of them is fitted;
+    - if a model states that one part is more plausible than another (for example the hysteresis of
+      a joint rather than viscous friction), the more plausible one is selected if it fits nearly as
+      well;
+    - a nuisance parameter that the data move far from its usual value is tried without its prior;
+    - without `validation` or `held_out`, the last fifth of each run is held out from all steps for
+      validation, if this leaves data of each run to fit. The final model is fitted to all data,
+      with the noise model of the first fit. If the residuals of this fit suggest more, further
+      steps use all data.
 
-    The errors of the final fit are conditional on its model, which these data selected. What the
-    models that fit nearly as well (`NEARNESS`) say otherwise is added as the `selection_error`.
+    The standard errors of the final fit are conditional on its model, which was selected with these
+    data. The spread of the estimates over models that fit nearly as well (`NEARNESS`) is added as
+    the `selection_error`.
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
-        validation: further runs to judge the steps by.
-        held_out: what was held out of the fitted runs, likewise.
-        max_steps: steps at most (10, or what it was in the folder).
-        tries: suspects that are fitted at each of them (3, likewise).
-        budget_s: wall time after which it ends with what it has reached, s.
-        folder: keep a journal and the fits there; what is there of the same explanation is not done
-            again.
-        say: called with a sentence on what is done next, and on each step.
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
+        validation: further runs for validation of the steps.
+        held_out: held-out parts of the fitted runs, also for validation.
+        max_steps: maximum number of steps; defaults to 10, or to the value in the folder.
+        tries: number of suspects that are fitted at each step; defaults to 3, or to the value in
+            the folder.
+        budget_s: wall time after which the result so far is returned, s.
+        folder: folder for a journal and the fits; items of the same explanation that are already
+            there are not computed again.
+        say: function that is called with a sentence on the next computation and on each step.
 
     Returns:
-        The record, with the final fit and its runs. After Ctrl-C it is that of the steps so far.
+        The record, the final fit and its runs. After Ctrl-C, the record of the steps so far.
 
     Raises:
-        InputError: other runs than those of the result, `tries` below 1, or a folder that cannot be
-            written or has a damaged journal.
+        InputError: the runs do not match the result; `tries` is below 1; or the folder cannot
+            be written or contains a damaged journal.
     """
     if tries is not None and tries < 1:
         raise InputError(f"the number of suspects to try at each step is {tries}: give at least 1")
@@ -335,7 +348,7 @@ def explain(
             raise KeyboardInterrupt
         try:
             begun = kept.refit("the first model", partly, fitted)
-        except InputError:  # It cannot be evaluated where the fit ended.
+        except InputError:  # The model cannot be evaluated at the end of the fit.
             if not result.history:
                 raise
             start = result.history[0].parameters
@@ -349,7 +362,8 @@ def explain(
             )
             one = Measured.of(begun, fitted, apart)
         climb.take(one)
-        # White noise may lead a wrong model astray, to where what is missing acts no more.
+        # With white noise, a wrong model may move to parameters at which the omitted effect has no
+        # influence.
         moved = _moved(result, one.result) and not outliers
         return grow((partly, whole) if moved else None)
 
@@ -361,7 +375,7 @@ def explain(
     def finished(ended: Ended) -> tuple[_Final, Ended]:
         final = _final(result, climb, whole, kept, judges, ended == "interrupted")
         if ended == "selected" and final.stopped is not None:
-            # All of the data may have asked for more.
+            # The fit to all of the data may suggest more.
             ended, climb.ending = final.stopped, _STOPPED[final.stopped]
         return final, ended
 
@@ -369,7 +383,7 @@ def explain(
     if ended == "selected" and partly is not result and _asks(final.result):
 
         def further() -> Ended:
-            # Without what was kept from the steps before.
+            # The data that were held out from the earlier steps are included.
             config = {**final.result.config, "runs": result.config.get("runs", [])}
             by_all = dataclasses.replace(final.result, config=config)
             begun = kept.refit("the selected model with white noise", by_all, final.runs)
@@ -383,7 +397,7 @@ def explain(
         grown = _ended(climb, further)
         if len(climb.taken) > len(before.taken) + 1:
             final, ended = finished(grown)
-        else:  # Nothing made it better.
+        else:  # No further step improved the fit.
             if grown in (*_STOPPED, "steps"):
                 ended, before.ending = grown, climb.ending
             climb = before
@@ -401,7 +415,7 @@ def explain(
 
 
 def _ended(climb: Climb, grow: Callable[[], Ended]) -> Ended:
-    """How growing ended, of which the climb has the sentence."""
+    """Run the selection and return how it ended; the climb receives the corresponding sentence."""
     try:
         return grow()
     except KeyboardInterrupt:
@@ -422,7 +436,7 @@ _STOPPED: dict[Ended, str] = {
 
 
 def _asks(final: FitResult) -> bool:
-    """Whether the final fit is not adequate for something that could be fitted."""
+    """Return whether the final fit is not adequate but a suspect could still be fitted."""
     return final.verdict.status != "adequate" and any(
         is_one(final.model, row) for row in significant(final.suspects)
     )
@@ -431,9 +445,10 @@ def _asks(final: FitResult) -> bool:
 def _without_last(
     whole: list[Run], result: FitResult, apart: list[Run]
 ) -> tuple[list[Run], FitResult]:
-    """The runs without their last fifth, which comes `apart`, and the result as of these.
+    """Return the runs without their last fifth, and the result with the times of the cuts.
 
-    As they are where a run has no value in one of its parts, as a window has, or is called `last`.
+    The last fifths are appended to `apart`. The runs are returned unchanged if a run has no values
+    in one of its parts, for example because of a window, or if a run is named `last`.
     """
     try:
         parts = hold_out(whole, ["last"])
@@ -451,7 +466,7 @@ def _without_last(
 
 
 def _moved(result: FitResult, other: FitResult) -> bool:
-    """Whether a parameter that was asked for is elsewhere, by more than its standard error."""
+    """Return whether a requested parameter differs by more than its standard error."""
     return any(
         abs(float(one.value) - float(other.free[path].value)) > (one.standard_error or 0.0)
         for path, one in result.free.items()
@@ -460,13 +475,13 @@ def _moved(result: FitResult, other: FitResult) -> bool:
 
 
 class _Told:
-    """Sentences on steps, and on how long the others may take."""
+    """Reports on the steps and on the remaining time."""
 
     def __init__(self, climb: Climb, say: Callable[[str], None], most: int) -> None:
         self.climb, self.say, self.most, self.clock = climb, say, most, Budget(0.0)
 
     def step(self, step: Step) -> None:
-        """A fit was taken."""
+        """Report a fit that was accepted."""
         done = sum(fit.suspect is not None for fit in self.climb.taken)
         taken = -self.clock.left()
         self.clock = Budget(0.0)
@@ -476,16 +491,19 @@ class _Told:
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
         more = (
-            f"; at most about {left} remaining, less if no suspect is significant" if done else ""
+            f"; at most about {left} remaining, or less if no suspect is significant"
+            if done
+            else ""
         )
         self.say(f"{name}: chi-square {step.chi_square:.5g} ({reduced:.3g} per value){more}")
 
 
 def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:
-    """What is fitted next: so many suspects, each with those that are alike."""
+    """Return the suspects to be fitted next: the first `tries`, each with similar ones."""
     rows = {row.path: row for row in reversed(found.rows) if is_one(result.model, row)}
     rather = capabilities.rather(result.model)
-    # The first of each group, with what is likelier than it, before those that are alike.
+    # The first suspect of each group and its more plausible alternative come before the
+    # indistinguishable ones.
     first: list[str] = []
     alike: list[str] = []
     groups = 0
@@ -497,12 +515,13 @@ def _chosen(tries: int, result: FitResult, found: Suspects) -> list[Suspect]:
         likelier = rather.get(path.partition("[")[0])
         first += [path, *([likelier] if likelier in rows else [])]
         alike += [one for one in (*suspect.together, *suspect.alike) if one in rows][:_MEMBERS]
-    # What is usual of a camera is given up last: it may make up for anything.
+    # Priors, for example of a camera, are dropped last, because a free nuisance may compensate for
+    # any effect.
     return [rows[path] for path in dict.fromkeys((*first, *alike))] or _against_priors(result)
 
 
 def _against_priors(result: FitResult) -> list[Suspect]:
-    """Nuisances that the data move far from what is known of them before."""
+    """Return the nuisance parameters that the data move far from their prior values."""
     priors = FitSettings.shared_with(result.config).priors
     far = []
     for path in result.nuisances:
@@ -519,7 +538,7 @@ def _against_priors(result: FitResult) -> list[Suspect]:
 
 
 def _preferred(made: Sequence[Tried]) -> Tried:
-    """The fit of the lowest BIC, or one nearly as low of what is rather to be believed."""
+    """Return the fit with the lowest BIC, or a more plausible one whose BIC is nearly as low."""
     best, _, _ = of_best = best_of(made)
     assert best.suspect is not None
     name = capabilities.rather(best.result.model).get(best.suspect.path.partition("[")[0])
@@ -529,7 +548,7 @@ def _preferred(made: Sequence[Tried]) -> Tried:
 
 
 class _Final(NamedTuple):
-    """A last fit with its runs, and what kept it from its end, if anything did."""
+    """Final fit with its runs, and the reason why it did not finish, if any."""
 
     result: FitResult
     runs: list[Run]
@@ -544,9 +563,9 @@ def _final(
     judges: tuple[int, int],
     interrupted: bool,
 ) -> _Final:
-    """The last fit, of the whole runs and with the noise asked for.
+    """Return the final fit, to the whole runs and with the requested noise model.
 
-    Where that cannot be, it is the fit of the last step, and says so.
+    If this fit fails, the fit of the last step is returned with a sentence that says so.
     """
     changes = [fit.suspect.path for fit in climb.taken if fit.suspect is not None]
     seen = whole
@@ -554,14 +573,14 @@ def _final(
         for mistake in [each for each in mistakes_of(result.model, seen) if each.name == change]:
             seen = [mistake.undone(run) for run in seen]
     if seen is not whole and kept.folder is not None:
-        # Other commands read them again.
+        # The runs are written to files because other commands read them again.
         seen = _written(seen, kept.folder / FITS / "runs")
     last, runs = climb.last.result, seen
     stopped: Ended | None = "interrupted" if interrupted else None
     if not changes and last.loss == result.loss:
         last = result
     else:
-        # Axes may have made files of their own.
+        # Runs whose axes were corrected have files of their own.
         records = tuple(
             dataclasses.replace(record, path=_file(run), sha256=run.sha256)
             for record, run in zip(last.runs, seen, strict=True)
@@ -571,7 +590,7 @@ def _final(
         if stopped is None and kept.is_late:
             stopped = "budget"
         if stopped is None:
-            # Without what was kept from the steps alone.
+            # The data that were held out only from the steps are included.
             config = {**last.config, "runs": result.config.get("runs", [])}
             try:
                 kept.say("fitting the selected model to all of the data ...")
@@ -584,7 +603,7 @@ def _final(
                     check=True,
                 )
                 stopped = next((one for one in _STOPPED if one == again.reason), None)
-            except InputError:  # It cannot be evaluated a little inside of its bounds.
+            except InputError:  # It cannot be evaluated just inside its bounds.
                 pass
             except KeyboardInterrupt:
                 stopped = "interrupted"
@@ -602,14 +621,14 @@ def _final(
             last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
         last = _judged(last, result, climb.apart, *judges)
     known = climb.asked[-1]
-    # What was asked already is not asked again where no time is left.
+    # Without time for another test, the results of an earlier test are used.
     if stopped != "interrupted" and not (kept.is_late and known is not None):
         try:
             kept.say("testing fixed and omitted parameters of the selected model ...")
             return _Final(with_suspects(last, runs), seen, stopped)
         except KeyboardInterrupt:
             stopped = "interrupted"
-        except Exception as error:  # A test that fails loses no fit.
+        except Exception as error:  # A failed test must not lose the fit.
             kept.say(
                 f"fixed and omitted parameters of the selected model could not be tested ({error})"
             )
@@ -621,7 +640,7 @@ def _final(
 def _judged(
     final: FitResult, result: FitResult, apart: Sequence[Run], validation: int, held: int
 ) -> FitResult:
-    """With how well it predicts what the first fit was judged by, and doubts that this stated."""
+    """Add the prediction errors on validation data, and given uncertainties of fixed values."""
     config, records = dict(final.config), []
     for run in apart[validation : validation + held]:
         errors = errors_of(run, final.predict(with_fitted_state(final, run))).channels
@@ -646,7 +665,7 @@ def _file(run: Run) -> str | None:
 
 
 def _written(runs: Sequence[Run], folder: Path) -> list[Run]:
-    """The runs, each read from a file of its own in a folder that no other process writes to."""
+    """Write each run to a file in a folder used only by this process, and read it from there."""
     make_folder(folder)
     read = []
     for run, name in zip(runs, unique_names(runs), strict=True):

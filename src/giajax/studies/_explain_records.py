@@ -1,4 +1,4 @@
-"""What an explanation found: its steps and its parameters, as data."""
+"""Records of an explanation: its steps and its parameters."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import Literal
 from ._refit import StudyRecord
 
 ALL = "all of the data"
-"""The change of a step that adds nothing: from here on nothing is kept to judge steps by."""
+"""Name of the step in which the held-out data are added to the fitted data."""
 
 Ended = Literal["selected", "steps", "budget", "interrupted", "failed"]
 
@@ -17,18 +17,20 @@ class ExplainedStep:
     """One fit of an explanation.
 
     Attributes:
-        change: a path or a choice, `without` one, "-" for the first, or `ALL` for the same model
-            fitted to more, which later steps are fitted to as well.
-        kind: of the suspect, as of `giajax.fitting.Suspect`; "start" for the first, "data" for
-            `ALL`.
-        taken: whether it is a step, or was tried alone.
-        p_value: of the test that asked for it, corrected for the number of tests.
-        chi_square: with the white noise of the last step.
+        change: path of a parameter or name of a choice, preceded by `without` if it was removed;
+            "-" for the first fit; or `ALL` if the same model was fitted to all data, as in all
+            later steps.
+        kind: kind of the suspect, as in `giajax.fitting.Suspect`; "start" for the first fit, "data"
+            for `ALL`.
+        taken: whether the fit was accepted as a step, rather than only tried.
+        p_value: p-value of the test that suggested the change, corrected for the number of tests.
+        chi_square: chi-square with the white noise of the last step.
         parameters: number of fitted parameters.
         values: number of measured values.
-        bic: Schwarz' criterion, with the same noise.
-        held_out: root mean square error of what no step was fitted to, in units of the noise.
-        estimates: value and standard error (SI) of the parameters that were asked for, by path.
+        bic: Schwarz's (Bayesian) information criterion, with the same noise.
+        held_out: root mean square error on the data to which no step was fitted, divided by the
+            noise.
+        estimates: value and standard error (SI) of the requested parameters, by path.
     """
 
     change: str
@@ -45,14 +47,18 @@ class ExplainedStep:
 
 @dataclasses.dataclass(frozen=True)
 class ExplainedParameter:
-    """A parameter that was asked for, with its errors (SI).
+    """Requested parameter with its errors (SI).
 
     Attributes:
-        standard_error: conditional on the selected model.
-        selection_error: how far the models that fit nearly as well are from it, as a root mean
-            square with weights exp(-difference of BIC / 2) (Buckland and others 1997).
-        spread: the difference between the largest and the smallest of their values.
-        total_error: standard and selection error in quadrature.
+        path: path of the parameter.
+        unit: SI unit.
+        value: estimate of the final fit.
+        standard_error: standard error conditional on the selected model.
+        selection_error: root mean square difference of the models that fit nearly as well, with
+            weights exp(-difference of BIC / 2) (Buckland et al. 1997).
+        spread: difference between the largest and the smallest estimate among these models.
+        total_error: square root of the sum of the squares of the standard error and the selection
+            error.
     """
 
     path: str
@@ -71,22 +77,25 @@ class Explanation(
     head={"explain_version": 1},
     remedy="run giajax explain again",
 ):
-    """What a run needs beyond the model that was assumed, step by step.
+    """Effects that a run requires beyond the assumed model, step by step.
 
     Attributes:
         fit: key of the final fit.
-        ended: what ended it: "selected", "steps", "budget", "interrupted", or "failed" where a
-            model could not be fitted or asked.
-        ending: one sentence on that.
-        status, verdict: of the final fit; the sentences say what speaks against its model.
-        loss: how residuals counted.
-        outliers: cells that differ from both of their neighbours as no noise does.
-        steps: the first is the fit that was begun from.
-        tried: fits that were made and not taken.
-        near: places among `tried` of those whose BIC is within `nearness` of that of the last step
-            that was fitted to as many values (`behind`).
-        parameters: those that were asked for.
-        axes: whether the runs were recorded in other axes; what was fitted lies beside this file.
+        ended: reason why the selection ended: "selected", "steps", "budget", "interrupted", or
+            "failed" if a model could not be fitted or tested.
+        ending: one sentence on this reason.
+        status, verdict: status and verdict of the final fit.
+        sentences: reasons of the verdict against the model.
+        loss: loss function of the residuals.
+        outliers: number of cells that differ from both neighbours by more than noise can explain.
+        steps: accepted fits; the first is the initial fit.
+        tried: fits that were not accepted.
+        near: indices of the fits in `tried` whose BIC exceeds that of the last step with the same
+            number of values (`behind`) by less than `nearness`.
+        nearness: largest excess of BIC at which a model fits nearly as well.
+        parameters: requested parameters.
+        axes: whether the runs were recorded in other axes; the corrected runs are stored beside
+            this file.
     """
 
     fit: str
@@ -106,7 +115,7 @@ class Explanation(
 
     @property
     def added(self) -> tuple[str, ...]:
-        """What the final model has beyond the first one."""
+        """Changes of the final model relative to the first one."""
         kept: list[str] = []
         for step in self.steps[1:]:
             if step.kind == "data":
@@ -117,6 +126,6 @@ class Explanation(
 
 
 def behind(steps: Sequence[ExplainedStep], tried: ExplainedStep) -> tuple[float, ExplainedStep]:
-    """How much higher the BIC of a fit is than that of the last step of as many values; which."""
+    """Return the excess of BIC of a fit over the last step with as many values, and that step."""
     step = next((one for one in reversed(steps) if one.values == tried.values), steps[-1])
     return tried.bic - step.bic, step

@@ -1,4 +1,4 @@
-"""What each run, marker, channel and span of time does to each parameter of a fit."""
+"""Influence of each run, marker, channel and time span on each parameter of a fit."""
 
 import dataclasses
 import itertools
@@ -17,19 +17,22 @@ from ._refit import Fitted, StudyRecord, end_values
 
 @dataclasses.dataclass(frozen=True)
 class LeftOut:
-    """A fit without a part of its data, by parameter.
+    """Effect of omitting a part of the data, by parameter.
 
     Attributes:
-        kind: of the part: "run", "marker", "channel" or "span".
-        name: of the part.
-        cells: how many it has.
-        steps: shift of each parameter to first order, in its standard errors; None of what the
-            rest does not determine. What a run that is left out has for itself is not there.
-        widening: standard error without the part over that with it, likewise.
-        exact: shift by a fit; None where none was asked for, or where it did not converge. A
-            parameter that the rest does not determine is None.
-        exact_widening: likewise; where the noise is scaled by the residuals, with their scale.
-        reason: what ended a fit that did not converge (`FitResult.reason`).
+        kind: kind of the part: "run", "marker", "channel" or "span".
+        name: name of the part.
+        cells: number of cells in the part.
+        steps: first-order shift of each parameter, divided by its standard error; None if the
+            remaining data do not determine the parameter. Parameters that belong only to an omitted
+            run are not listed.
+        widening: standard error without the part divided by the standard error with it; None if the
+            remaining data do not determine the parameter.
+        exact: shift according to a new fit; None if no fit was requested or the fit did not
+            converge. The entry of a parameter that the remaining data do not determine is None.
+        exact_widening: widening according to the new fit; if the noise is scaled by the residuals,
+            with their new scale.
+        reason: reason why a fit did not converge (`FitResult.reason`).
     """
 
     kind: str
@@ -43,12 +46,12 @@ class LeftOut:
 
     @property
     def shifts(self) -> dict[str, float | None]:
-        """By a fit where there was one, else to first order."""
+        """Shifts according to the new fit if there is one, otherwise first-order shifts."""
         return self.steps if self.exact is None else self.exact
 
     @property
     def largest(self) -> float:
-        """The largest shift of a parameter, in standard errors; infinite where one is lost."""
+        """Largest shift divided by the standard error; infinite if a parameter is undetermined."""
         return max(
             (float("inf") if shift is None else abs(shift) for shift in self.shifts.values()),
             default=0.0,
@@ -56,10 +59,11 @@ class LeftOut:
 
     @property
     def surprise(self) -> float | None:
-        """The largest shift over that to expect; None where nothing is to be expected.
+        """Largest ratio of a shift to its expected size; None if no shift is expected.
 
-        Of a right model, a part moves an estimate by a random amount, whose variance is that
-        without the part less that with it (Hausman 1978): beyond 3 it is not by chance.
+        If the model is correct, omitting a part shifts an estimate randomly. The variance of the
+        shift is the variance of the estimate without the part minus the variance with it (Hausman
+        1978). A ratio above 3 is unlikely to be due to chance.
         """
         ratios = []
         for path, shift in self.shifts.items():
@@ -79,10 +83,10 @@ class Influence(
     """Influence of each part of the data on the parameters of a fit.
 
     Attributes:
-        parameters: standard error of each that the data determine, SI.
-        parts: without which the fit was asked, the largest shift first.
-        notes: sentences on what the numbers leave out.
-        fitted: values of the free parameters of the result, by which a reader knows whose it is.
+        parameters: standard error of each parameter that the data determine, SI.
+        parts: omitted parts, in order of decreasing largest shift.
+        notes: sentences on the limitations of the numbers.
+        fitted: values of the free parameters of the result, which identify the result.
     """
 
     parameters: dict[str, float]
@@ -91,7 +95,7 @@ class Influence(
     fitted: dict[str, float]
 
     def of_kind(self, kind: str) -> tuple[LeftOut, ...]:
-        """The parts of a kind: "run", "marker", "channel" or "span"."""
+        """Return the parts of a kind: "run", "marker", "channel" or "span"."""
         return tuple(part for part in self.parts if part.kind == kind)
 
 
@@ -100,14 +104,15 @@ Kind = Literal["run", "marker", "channel", "span"]
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """Cells that are left out together.
+    """Cells that are omitted together.
 
     Attributes:
-        kind: "run"; "marker": all coordinates of a point in all runs; "channel", in all runs; or
-            "span": a stretch of one run.
-        runs: positions of the runs that have a part of it.
+        kind: "run"; "marker": all coordinates of a point in all runs; "channel": one channel in all
+            runs; or "span": a time span of one run.
+        name: name of the part.
+        runs: indices of the runs that contain cells of the part.
         channels: names of its channels; None for all.
-        rows: its first sample and the one after its last; None for all.
+        rows: index of its first sample and the index after its last one; None for all.
     """
 
     kind: Kind
@@ -117,7 +122,7 @@ class Part:
     rows: tuple[int, int] | None = None
 
     def of(self, index: int, name: str, samples: int) -> np.ndarray | None:
-        """Which samples of a channel of a run are left out; None where none is."""
+        """Return a mask of the omitted samples of a channel of a run; None if there are none."""
         if index not in self.runs or (self.channels is not None and name not in self.channels):
             return None
         gone = np.zeros(samples, bool)
@@ -126,10 +131,10 @@ class Part:
 
 
 def parts_of(runs: Sequence[Run], spans: int) -> list[Part]:
-    """Everything that may be left out of some runs, apart from all of them.
+    """List all parts of some runs that can be omitted, except all runs together.
 
-    A channel that is a marker by itself is listed as the marker; `spans` are of equal time, or
-    number of samples.
+    A marker that has only one channel is listed as a marker, not as a channel. `spans` have equal
+    durations, or equal numbers of samples in a static run.
     """
     everywhere = tuple(range(len(runs)))
     parts = [Part("run", run.name, (i,)) for i, run in enumerate(runs) if len(runs) > 1]
@@ -163,9 +168,10 @@ def _spans(index: int, run: Run, count: int) -> list[Part]:
 
 
 def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
-    """A task: fits without each of some parts.
+    """Task: repeat a fit without each of some parts.
 
-    Of each: `converged`, `reason`, and by label `values` and `errors` of what the rest determines.
+    Returns, for each part, `converged`, `reason`, and by label the `values` and `errors` of the
+    parameters that the remaining data determine.
     """
     optimum = fitted.optimum()
     rows = []
@@ -182,7 +188,7 @@ def left_out(fitted: Fitted, parts: Sequence[Part]) -> list[dict[str, Any]]:
 
 
 def without(optimum: Optimum, part: Part) -> Recorded:
-    """What the runs recorded, without a part of it."""
+    """Return the recorded values of the runs without one part."""
     left: list[dict[str, np.ndarray]] = []
     for index, run in enumerate(optimum.state.setup.runs):
         left.append(dict(run.observations))
@@ -192,7 +198,7 @@ def without(optimum: Optimum, part: Part) -> Recorded:
     return left
 
 
-_CHUNK = 16  # fits of a task, which share a program
+_CHUNK = 16  # fits per task, which share a compiled program
 _MOST_SPANS = 1000
 
 
@@ -205,30 +211,34 @@ def influence(
     spans: int = 10,
     **how: Unpack[Execution],
 ) -> Influence:
-    """What each run, marker, channel and span of time does to each parameter.
+    """Compute the influence of each run, marker, channel and time span on each parameter.
 
     Without a part of the cells, one Newton step from the optimum leads to
 
         x_rest = x - A^-1 b,    A = X^T V^-1 X,    b = X^T V^-1 r
 
-    with the derivatives X and residuals r (predicted less recorded) of the cells that are left, and
-    V the covariance of their noise: of correlated noise it is not a part of the inverse of the
-    whole, and so it is inverted again. That is exact for a linear model. Of a robust loss, psi
-    and psi' stand for residual and derivative. Noise, and weights of outliers, stay as they are.
+    with the derivatives X and residuals r (predicted minus recorded) of the remaining cells, and
+    the covariance V of their noise. For correlated noise, the inverse of V is not a part of the
+    inverse for all cells, so it is computed again. The step is exact for a linear model. For a
+    robust loss, psi and psi' replace the residual and its derivative. The noise and the weights of
+    outliers are fixed.
 
-    Single runs are left out by fits, if there are several; all other parts by steps alone, unless
-    they are to be exact, too. A part may move a parameter by much because it decides it (then the
-    error without it is much larger, and the shift is to be expected) or because it is in conflict
-    with the others (`LeftOut.surprise`).
+    If there are several runs, the fit is repeated without each of them. The other parts are
+    evaluated with the Newton step, unless `exact` is set. A part may shift a parameter strongly for
+    two reasons. If the part determines the parameter, the standard error without the part is much
+    larger and the shift is expected. Otherwise the part is in conflict with the other data
+    (`LeftOut.surprise`).
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
-        exact: fit without each marker, channel and span, too.
-        spans: into how many each run is cut, of equal time; 1 for none.
-        how: who does the tasks of 16 fits, as of `giajax.runtime.execution.Execution`.
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
+        exact: repeat the fit also without each marker, channel and span.
+        spans: number of spans of equal duration into which each run is divided; 1 for none.
+        how: execution of the tasks, each of 16 fits, as for `giajax.runtime.execution.Execution`.
 
     Raises:
-        InputError: other runs than those of the result, no converged fit, or no number of spans.
+        InputError: the runs do not match the result; the fit has not converged; or the number
+            of spans is invalid.
 
     Example:
         >>> found = giajax.influence(result, runs)  # doctest: +SKIP
@@ -263,14 +273,15 @@ def influence(
 
 
 def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
-    """Of each part, the step to first order."""
+    """Return the first-order effect of omitting each part."""
     equations, known = CellEquations.of(optimum), optimum.statistics
     said = {key: equations.said(*key) for key in equations.cells}
     whole = equations.whole(list(said.values()))
     offset, errors = whole.step()
     steps = []
     for part in parts:
-        # What is left is summed: of a difference, rounding would be left of what is lost.
+        # The contributions of the remaining cells are summed. Subtracting the omitted cells from
+        # the total would leave rounding errors for parameters that become undetermined.
         left, cells = [], 0
         for key, each in said.items():
             rows = equations.rows[key]
@@ -283,14 +294,14 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
                 left.append(equations.said(*key, ~gone))
         step, wider = equations.whole(left).step()
         own = _own(optimum, part)
-        # What is at its bound is held there.
+        # Parameters at a bound are fixed there.
         shifts: dict[str, float | None] = {
             known.labels[i]: 0.0 for i in known.determined if i not in own
         }
         widening: dict[str, float | None] = dict.fromkeys(shifts, 1.0)
         for at, place in enumerate(equations.positions):
             if place in known.determined and place not in own:
-                # What the fit has left to go is no part's.
+                # The remaining step of the fit to its optimum is subtracted.
                 off = (step[at] - offset[at]) / known.standard_errors[place]
                 shifts[known.labels[place]] = finite_or_none(off)
                 widening[known.labels[place]] = finite_or_none(wider[at] / errors[at])
@@ -299,7 +310,7 @@ def _steps(optimum: Optimum, parts: Sequence[Part]) -> list[LeftOut]:
 
 
 def _with_fit(step: LeftOut, optimum: Optimum, row: Mapping[str, Any]) -> LeftOut:
-    """With what a fit without the part says."""
+    """Add the shifts according to a fit without the part."""
     if not row["converged"]:
         return dataclasses.replace(step, reason=row["reason"])
     known, values = optimum.statistics, row["values"]
@@ -314,7 +325,7 @@ def _with_fit(step: LeftOut, optimum: Optimum, row: Mapping[str, Any]) -> LeftOu
 
 
 def _own(optimum: Optimum, part: Part) -> set[int]:
-    """Positions of the parameters that only the runs respond to which are left out whole."""
+    """Return the indices of the parameters that affect only the omitted runs."""
     if part.kind != "run":
         return set()
     mine, others = set[int](), set[int]()
@@ -333,5 +344,7 @@ def _notes(optimum: Optimum, *, exact: bool) -> tuple[str, ...]:
         )
     known = optimum.statistics
     if held := [known.labels[place] for place in known.bounds]:
-        notes.append(f"parameters at a bound, fixed there to first order: {', '.join(held)}")
+        notes.append(
+            f"to first order, these parameters are fixed at their bounds: {', '.join(held)}"
+        )
     return tuple(notes)

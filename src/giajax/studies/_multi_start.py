@@ -1,4 +1,4 @@
-"""A fit from several starts: long motions have optima that lead nowhere."""
+"""Fit from several initial guesses, because fits of long motions may end at local optima."""
 
 import contextlib
 import dataclasses
@@ -42,20 +42,22 @@ from ._starts import (
     with_tolerance_of,
 )
 
-# An end whose misfit is this much above the best one, per measured value, is another optimum.
+# A fit whose misfit exceeds the best misfit by more than this, per measured value, is at another
+# optimum.
 SAME_END = 1e-3
 
-_APART = 1.0  # and so is one that is this many standard errors away
+# So is a fit with a parameter that differs by more than this many standard errors.
+_APART = 1.0
 
 
 class DistinctOptimum(NamedTuple):
-    """An optimum, and the starts that reached it.
+    """An optimum and the starts that reached it.
 
     Attributes:
-        worse: its misfit above that of the result, in log-likelihood.
-        reached: how many starts.
-        values: of the free parameters, by path, SI, where the best of them ended.
-        is_result: whether it is where the result is.
+        worse: misfit minus the misfit of the result, as a difference of log-likelihoods.
+        reached: number of starts that reached it.
+        values: values of the free parameters at the best of these ends, by path, SI.
+        is_result: whether the result is at this optimum.
     """
 
     worse: float
@@ -65,10 +67,11 @@ class DistinctOptimum(NamedTuple):
 
 
 def distinct_optima(result: FitResult) -> list[DistinctOptimum]:
-    """The optima that the starts of a result converged to, the best first.
+    """Return the optima to which the starts of a result converged, the best first.
 
-    Two ends are of one optimum where they describe the data as well as each other and no parameter
-    that is determined differs by more than its standard error. Of one start there is none.
+    Two ends belong to the same optimum if they describe the data equally well and no determined
+    parameter differs by more than its standard error. The list is empty for a fit from a single
+    start.
     """
     best = misfit(result)
     values = sum(channel.n for run in result.runs for channel in run.channels.values())
@@ -93,7 +96,7 @@ def distinct_optima(result: FitResult) -> list[DistinctOptimum]:
 
 
 def lost_starts(result: FitResult) -> dict[str, int]:
-    """How many starts did not converge, by why, the most frequent first."""
+    """Return the number of starts that did not converge, by reason, the most frequent first."""
     ended = [start for start in result.starts if start.status != "converged"]
     return dict(Counter(start.message or start.status for start in ended).most_common())
 
@@ -108,7 +111,7 @@ def _is_same(result: FitResult, one: Start, other: Start) -> bool:
 
 
 STARTS = 8
-"""Starts of `multi_start`, by default."""
+"""Default number of starts of `multi_start`."""
 
 
 @keywords_listed(FIT_DEFAULTS | {"starts": STARTS})
@@ -125,32 +128,36 @@ def multi_start(
     folder: str | Path | None = None,
     **keywords: Unpack[StartsKeywords],
 ) -> FitResult:
-    """Fit from several starts, and return the best end.
+    """Fit from several initial guesses and return the best fit.
 
-    The first start is the one that a fit has; the others fill the room around it evenly (a Sobol
-    sequence). A parameter with a prior begins where that says; one with two bounds of this fit
-    between them; any other is changed by a factor between 1 / (1 + spread) and 1 + spread, or
-    where it has no sign by up to `spread` times its size. Ends are compared by
-    the misfit, which is the logarithm of the likelihood: a cost alone means nothing where each fit
+    The first start is the initial guess of `giajax.fit`. The others cover the space around it
+    evenly (a Sobol sequence). The initial guess of a parameter with a prior is drawn from the
+    prior. If this fit has two bounds for a parameter, its initial guess lies between them. Any
+    other parameter is multiplied by a factor between 1 / (1 + spread) and 1 + spread, or, if it can
+    have either sign, changed by up to `spread` times its magnitude. Fits are compared by their
+    misfit, which is minus the log-likelihood. The cost alone cannot be compared, because each fit
     estimates its own noise.
 
     Arguments:
-        model, runs, settings, progress, check: as of `giajax.fit`; a budget is that of all starts.
-        starts: how many (8); 1 is `giajax.fit`.
-        spread: relative distance of the other starts (0.3).
-        seed: of the other starts (0).
-        **keywords: these three, and those of `giajax.fit`, in place of `settings`.
-        announce: called before each fit with its number, from 1, and its start. Of fits side by
-            side the later ones are reported, with their steps, when the earlier ones have ended.
-        before: a result of the same fit from fewer starts, which are not fitted again.
-        executor: who fits the starts after the first that converges, each a task
-            (`giajax.runtime.execution.run_tasks`), and is reported once it has ended; by default
+        model, runs, settings, progress, check: as for `giajax.fit`; a time budget applies to all
+            starts together.
+        starts: number of starts (8); 1 is equivalent to `giajax.fit`.
+        spread: relative spread of the other starts (0.3).
+        seed: seed of the other starts (0).
+        **keywords: the previous three and the keywords of `giajax.fit`, instead of `settings`.
+        announce: function that is called before each fit with its number, from 1, and its initial
+            guess. If fits run in parallel, the later ones are reported, with their steps, when the
+            earlier ones have ended.
+        before: result of the same fit from fewer starts, which are not fitted again.
+        executor: executor of the starts after the first that converges; each start is a task
+            (`giajax.runtime.execution.run_tasks`) and is reported when it has ended. Defaults to
             threads of this process.
-        folder: of a file for each of these tasks, by which the same call goes on.
+        folder: folder with a file for each of these tasks, from which the same call can be
+            continued.
 
     Returns:
-        The best result, so far after Ctrl-C; `result.starts` has where each start ended. The first
-        one must be evaluable.
+        The best result, or the best so far after Ctrl-C. `result.starts` contains the end of each
+        start. The model must be evaluable at the first start.
     """
     settings = fit_settings(keywords, settings=settings)
     if "starts" not in settings.model_fields_set:
@@ -178,15 +185,15 @@ def solve_from_starts(
     executor: Executor | None = None,
     folder: str | Path | None = None,
 ) -> FitResult:
-    """Fit what `giajax.fitting.set_up` resolved from several starts; else as `multi_start`.
+    """Fit a setup of `giajax.fitting.set_up` from several starts, as `multi_start` does.
 
-    The journal is that of each fit, by its number: the starts from 1, then the one that checks the
-    result. A start that has ended there is evaluated where it ended.
+    `journal` returns the journal of a fit by its number: the starts from 1, then the fit that
+    checks the result. A start that is complete in its journal is only evaluated at its end.
     """
     setup, settings = setup.at_start(), setup.settings
     starts, values = settings.starts, start_values(setup)
     budget = None if settings.budget_s is None else Budget(settings.budget_s)
-    # What is wrong is refused before the first start, not after it.
+    # Reject invalid settings before the first start.
     if executor is not None and settings.optimiser is not None:
         raise InputError(
             "parallel workers support only giajax's own optimiser: omit the executor or the "
@@ -195,7 +202,7 @@ def solve_from_starts(
     count, spent = cores(), threading.Event()
 
     def one(number: int, earlier: Sequence[FitResult], tell: Tell) -> End | None:
-        """How a start ends; None where there is no time left for it."""
+        """Return the end of a start; None if no time is left for it."""
         start = values[number - 1]
         if budget is not None and number > 1 and (spent.is_set() or not budget.left() > 0):
             return None
@@ -204,7 +211,8 @@ def solve_from_starts(
                 tell(announce, number, start)
             result = solve(
                 with_tolerance_of(setup.started_at(start), earlier),
-                # Also where nobody listens: what a start tells is where it is stopped.
+                # Progress is needed even without a listener, because a start can only be stopped
+                # when it reports.
                 progress=functools.partial(tell, progress or (lambda _: None)),
                 check=False,
                 budget=budget,
@@ -215,10 +223,10 @@ def solve_from_starts(
                 raise
             return Start(start, "failed", message=str(error)), None
         except KeyboardInterrupt:
-            # Nothing of this start was evaluated.
+            # No evaluation of this start was completed.
             return Start(start, "interrupted"), None
         if result.reason == "budget":
-            # What is left of it is too little for a step of any start.
+            # The remaining budget is too short for a step of any start.
             spent.set()
         return end_of(start, result), result
 
@@ -246,7 +254,7 @@ def solve_from_starts(
     if budget is not None and late and budget.ended_it not in best.message:
         message = f"{best.message}; {budget.ended_it} after {len(ends)} of {starts} starts"
         best = dataclasses.replace(best, status="not_converged", message=message, reason="budget")
-    # Of a result that was loaded, the predictions are missing, and the verdict on held-out data.
+    # A loaded result lacks the predictions and the verdict on held-out data.
     bare = best is before or (executor is not None and not best.predictions)
     if (check or bare) and best.status == "converged":
         last = None if journal is None else journal(starts + 1)
@@ -265,14 +273,14 @@ def _checked(
     budget: Budget | None,
     journal: FitJournal | None,
 ) -> FitResult:
-    """The best end fitted again from where it is, with the checks that were left out before."""
+    """Repeat the best fit from its end, with the checks that were omitted before."""
     status = "interrupted"
     with contextlib.suppress(KeyboardInterrupt):
         inside = with_tolerance_of(setup.started_at(inside_bounds(setup, end_values(best))), [best])
         again = solve(inside, progress=progress, budget=budget, journal=journal)
         status = again.status
     if status == "interrupted":
-        return interrupted(best, "before its result was checked")
+        return interrupted(best, "before the result was checked")
     if status != "converged":
         return best
     return dataclasses.replace(

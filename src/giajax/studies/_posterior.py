@@ -1,4 +1,4 @@
-"""What is known of the free parameters of a fit beyond its optimum: draws from their posterior."""
+"""Posterior distribution of the free parameters of a fit, sampled with NUTS."""
 
 import contextlib
 import contextvars
@@ -25,17 +25,18 @@ from ..runtime.text import InputError, install_command
 from ._posterior_records import Posterior, PosteriorSummary, bands, doubts, marginal
 from ._refit import Fitted
 
-# Transitions of a call of the program: between calls Ctrl-C is noticed, and progress reported.
+# Number of transitions per call of the program. Ctrl-C and progress are handled between calls.
 _AT_ONCE = 20
 
-# Transitions of the warm-up below which the matrix of the optimum stays: Stan's windows, and some
-# draws for each parameter, are needed to estimate a better one.
+# Number of warm-up transitions below which the mass matrix of the optimum is kept. A better
+# estimate requires Stan's adaptation windows and some draws for each parameter. #  keys of chains
+# whose programs #  keys of
 _LEAST_TO_ADAPT, _EACH = 150, 10
 
 _compiling = threading.Lock()
-_compiled: set[tuple[Any, ...]] = set()  # keys of chains whose programs are there
+_compiled: set[tuple[Any, ...]] = set()  # keys of chains whose programs are compiled
 
-# Called with the transitions that chains of this process do, after each few.
+# Function that is called with the number of transitions completed by chains of this process.
 _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.ContextVar(
     "_listener", default=None
 )
@@ -43,10 +44,17 @@ _listener: contextvars.ContextVar[Callable[[int], None] | None] = contextvars.Co
 
 @dataclasses.dataclass(frozen=True)
 class Begun:
-    """Where a chain begins, in the sampler's coordinate, shape (drawn,).
+    """Initial state of a chain.
 
-    What the density is there spares a second program. The key is that of the fit that all of it
-    follows from, by which a task is known.
+    The energy and the gradient at the start are included because computing them in the task would
+    require a second program.
+
+    Attributes:
+        density: density to be sampled.
+        start: initial point in the coordinates of the sampler, shape (drawn,).
+        energy: energy at the start.
+        gradient: gradient of the energy at the start, shape (drawn,).
+        task_key: key of the fit from which the above follows; it identifies the task.
     """
 
     density: Density
@@ -57,13 +65,13 @@ class Begun:
 
 
 def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict[str, Any]:
-    """A task: draws from a density. Chains of a study differ in their number, and so in their seed.
+    """Task: sample a density. The chains of a study have different numbers, and thus seeds.
 
     Returns:
-        `values` of all free parameters, shape (draw, parameter), SI; `energy` (minus the logarithm
-        of the density of the parameters, up to a constant), `diverging`, `steps` and `acceptance`
-        of each draw; the `step_size`; and `warmup_diverging`, how many transitions of the warm-up
-        diverged.
+        `values` of all free parameters, shape (draw, parameter), SI; the `energy` (minus the
+        logarithm of the density of the parameters, up to a constant), `diverging`, `steps` and
+        `acceptance` of each draw; the `step_size`; and `warmup_diverging`, the number of divergent
+        warm-up transitions.
     """
     total = warmup + draws
     length = next(n for n in range(min(_AT_ONCE, total), 0, -1) if total % n == 0)
@@ -72,12 +80,13 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
     start, energy, gradient = (
         on_device(each, dtype) for each in (begun.start, begun.energy, begun.gradient)
     )
-    import numpyro.infer.hmc  # noqa: F401  # a program that was kept returns a class of it
+    import numpyro.infer.hmc  # noqa: F401  # a cached program returns a class of it
 
     parts = []
     key = (begun.task_key, settings, length)
     with contextlib.ExitStack() as stack:
-        # Chains that begin together need the same programs, and each would compile them.
+        # Chains that start together need the same programs, which each of them would otherwise
+        # compile.
         if key not in _compiled:
             stack.enter_context(_compiling)
             if key in _compiled:
@@ -92,7 +101,7 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
         if at:
             with _mixing_types():
                 state, found = _move(density, state, settings, length)
-        # Waits for the numbers; until then Ctrl-C would wait for all calls.
+        # This waits for the results. Otherwise Ctrl-C would be handled only after all calls.
         parts.append([np.asarray(each) for each in found])
         if is_stopped():
             raise KeyboardInterrupt
@@ -109,7 +118,7 @@ def chain(begun: Begun, number: int, draws: int, warmup: int, seed: int) -> dict
 
 @contextlib.contextmanager
 def _mixing_types() -> Iterator[None]:
-    """NumPyro adds numbers of different types and shapes, which a session may forbid."""
+    """Allow NumPyro to combine different types and ranks, which the session may forbid."""
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         yield
 
@@ -123,7 +132,7 @@ def _begin(
 
 @program
 def _move(density: Density, state: Any, settings: tuple[int, bool], length: int) -> Any:
-    """So many transitions; the state after them, and what of each is kept."""
+    """Perform the given number of transitions; return the final state and the stored quantities."""
     _, sample = _kernels(
         density, state.z, state.potential_energy, state.z_grad, state.rng_key, settings
     )
@@ -131,7 +140,8 @@ def _move(density: Density, state: Any, settings: tuple[int, bool], length: int)
     def next_one(state: Any, _: None) -> tuple[Any, tuple[Any, ...]]:
         state = sample(state)
         slope = density.bounds.forward(density.centre + density.spread @ state.z)[1]
-        # Of the parameters, not of the coordinate.
+        # The energy refers to the density of the parameters rather than of the sampler's
+        # coordinates.
         energy = state.potential_energy + jnp.sum(slope)
         known = energy, state.diverging, state.num_steps, state.accept_prob
         return state, (density.values(state.z), *known)
@@ -142,13 +152,13 @@ def _move(density: Density, state: Any, settings: tuple[int, bool], length: int)
 def _kernels(
     density: Density, z: Any, energy: Any, gradient: Any, key: Any, settings: tuple[int, bool]
 ) -> tuple[Any, Callable[[Any], Any]]:
-    """NumPyro's state at a point, and its transition."""
+    """Return NumPyro's state at a point and its transition function."""
     from numpyro.infer.hmc import hmc
     from numpyro.infer.util import ParamInfo
 
     warmup, adapts = settings
     begin, sample = hmc(density.potential(), algo="NUTS")
-    # The second function knows the settings when the first one was called.
+    # `sample` uses the settings of the preceding call of `begin`.
     state = begin(
         ParamInfo(z, energy, gradient),
         warmup,
@@ -159,7 +169,8 @@ def _kernels(
     return state, sample
 
 
-# Chains that begin farther apart than the posterior is wide show whether they find together.
+# The initial points are more widely spread than the posterior, so that R-hat shows whether the
+# chains have converged to the same distribution.
 _APART = 1.5
 _ATTEMPTS = 12
 
@@ -176,29 +187,31 @@ def posterior(
     folder: str | Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:
-    """Draw from the posterior of the free parameters of a fit, by the No-U-Turn sampler.
+    """Sample the posterior of the free parameters of a fit with the No-U-Turn sampler.
 
-    Its density is exp(-cost) with the noise held as it was fitted, and flat in the parameters
-    themselves within their bounds where they have no prior. The cost of the measured values is
-    divided by one number, so that where the density is normal its deviations are the reported
-    standard errors; a robust loss is taken for a density up to a constant. What no channel responds
-    to stays where the fit left it.
+    The density is exp(-cost), where the noise is fixed at its fitted value. Parameters without a
+    prior have a uniform prior within their bounds. The cost of the measured values is divided by
+    one factor such that, for a normal density, the standard deviations equal the reported standard
+    errors. A robust loss is interpreted as a density up to a constant. Parameters to which no
+    channel responds are fixed at their fitted values.
 
     Arguments:
-        result, runs: of a fit, and what it was fitted to, in their order.
-        chains: how many, each a task of its own; after Ctrl-C, those count that were done.
-        draws: of each chain that are kept.
-        warmup: transitions before them, which adapt the sampler.
-        seed: of the random numbers.
-        executor, folder: as of `giajax.runtime.execution.Execution`; without an executor, or with
-            that of this process, the chains are shared out among its cores.
-        progress: called with the transitions that are done, and how many there will be; in the
-            threads of the chains.
+        result, runs: result of a fit and the fitted runs, in the same order.
+        chains: number of chains, each of which is a task; after Ctrl-C the completed chains are
+            used.
+        draws: number of draws of each chain that are kept.
+        warmup: number of preceding transitions, which adapt the sampler.
+        seed: seed of the random numbers.
+        executor, folder: as for `giajax.runtime.execution.Execution`; without an executor, or with
+            `InProcess`, the chains run in threads on the cores of this process.
+        progress: function that is called with the number of completed transitions and their total
+            number, from the threads of the chains.
 
     Raises:
-        InputError: these are not its runs; NumPyro is not installed; nothing limits a parameter;
-            a number that cannot be; parameters of two runs of one name; every chain failed.
-        KeyboardInterrupt: no chain was done when Ctrl-C came.
+        InputError: the runs do not match the result; NumPyro is not installed; a parameter is
+            not limited by data, prior or bounds; a number is invalid; two runs have the same name,
+            so labels of parameters are ambiguous; or all chains failed.
+        KeyboardInterrupt: Ctrl-C was pressed before any chain was completed.
 
     Example:
         >>> result = giajax.load_result("giajax-out/run")  # doctest: +SKIP
@@ -270,7 +283,7 @@ def posterior(
 
 
 def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None:
-    """Refuse what cannot be drawn, before anything is computed."""
+    """Reject invalid settings before any computation."""
     if importlib.util.find_spec("numpyro") is None:
         raise InputError(
             "sampling a posterior requires NumPyro, which is not installed: "
@@ -282,7 +295,7 @@ def check_posterior(*, chains: int = 1, draws: int = 8, warmup: int = 0) -> None
 
 
 class _Progress:
-    """Adds up the transitions that chains of this process and of others have done."""
+    """Count of the transitions completed by chains of this process and of others."""
 
     def __init__(self, progress: Callable[[int, int], None] | None, chains: int, each: int) -> None:
         self._progress, self._each, self._total = progress, each, chains * each
@@ -297,7 +310,7 @@ class _Progress:
     def done(self, outcome: Outcome, done: int, total: int) -> None:
         with self._lock:
             self._done = done * self._each
-            self._running = max(0, self._running - self._each)  # none of another process
+            self._running = max(0, self._running - self._each)  # 0 for other processes
             self._tell()
 
     def _tell(self) -> None:
@@ -306,7 +319,7 @@ class _Progress:
 
 
 def _begun(density: Density, fitted: Fitted, number: int, seed: int) -> Begun:
-    """The start of a chain, at which the model can be evaluated if it can be anywhere near."""
+    """Return the initial state of a chain, as near as necessary to the optimum to be evaluable."""
     optimum = fitted.optimum()
     z = np.random.default_rng([seed, number]).normal(size=len(density.places)) * _APART
     for _ in range(_ATTEMPTS):

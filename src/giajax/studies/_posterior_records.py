@@ -1,4 +1,4 @@
-"""What a posterior is made of, as data; `posterior.json` is its summary."""
+"""Records of a posterior; `posterior.json` contains its summary."""
 
 import dataclasses
 import importlib
@@ -18,24 +18,26 @@ from ..runtime.records import finite_or_none
 from ..runtime.text import InputError, install_command
 from ._refit import StudyRecord
 
-# Whether chains have mixed: R-hat and effective sample sizes.
+# Convergence of the chains: R-hat and effective sample sizes.
 #
-# Rank-normalised and split, after Vehtari, Gelman, Simpson, Carpenter and Buerkner, "Rank-
-# normalization, folding, and localization", Bayesian Analysis 16 (2021), doi 10.1214/20-BA1221.
+# Rank-normalised and split, after Vehtari, Gelman, Simpson, Carpenter and Buerkner,
+# "Rank-normalization, folding, and localization", Bayesian Analysis 16 (2021), doi
+# 10.1214/20-BA1221.
 
 Draws = Float[np.ndarray, "chain draw"]
 
-_LEAST = 4  # fewer draws of a half of a chain than this say nothing
+# Minimum number of draws in half a chain for these statistics.
+_LEAST = 4
 _TAILS = (0.05, 0.95)
 
 
 class Mixing(NamedTuple):
-    """How well chains have mixed; NaN where all draws are equal or there are too few.
+    """Convergence statistics of chains; NaN if all draws are equal or there are too few.
 
     Attributes:
-        r_hat: 1 where chains agree with each other, and their halves too; above where not.
-        ess_bulk: how many independent draws the mean is worth.
-        ess_tail: how many the ends of an interval are worth: the less of both.
+        r_hat: R-hat: 1 if the chains and their halves agree, larger otherwise.
+        ess_bulk: effective sample size for the mean.
+        ess_tail: effective sample size for the ends of an interval: the smaller of the two.
     """
 
     r_hat: float
@@ -44,7 +46,7 @@ class Mixing(NamedTuple):
 
 
 def mixing(draws: Draws) -> Mixing:
-    """How well the chains of one parameter have mixed."""
+    """Return the convergence statistics of the chains of one parameter."""
     half = draws.shape[1] // 2
     halves = np.concatenate([draws[:, :half], draws[:, draws.shape[1] - half :]])
     if halves.shape[1] < _LEAST or np.all(halves == halves[0, 0]):
@@ -60,7 +62,7 @@ def mixing(draws: Draws) -> Mixing:
 
 
 def _normal_scores(draws: Draws) -> Draws:
-    # Slow to import, and asked for by posteriors alone.
+    # Imported here because it is slow to import and only posteriors need it.
     from scipy.stats import rankdata
 
     ranks = rankdata(draws, method="average").reshape(draws.shape)
@@ -77,15 +79,15 @@ def _r_hat(draws: Draws) -> float:
 
 
 def effective_size(draws: Draws) -> float:
-    """How many independent draws the mean of correlated ones is worth (equations 10 to 13).
+    """Return the effective sample size for the mean of correlated draws (equations 10 to 13).
 
-    Autocorrelations are added up in pairs as long as these are positive, and none counts more than
-    the one before it (Geyer's initial monotone sequence).
+    Autocorrelations are summed in pairs until a pair is negative. No pair counts more than the pair
+    before it (Geyer's initial monotone sequence).
     """
     chains, count = draws.shape
     centred = draws - np.mean(draws, axis=1, keepdims=True)
     power = np.abs(np.fft.rfft(centred, 2 * count, axis=1)) ** 2
-    # Of each chain at each lag.
+    # Autocovariance of each chain at each lag.
     covariance = np.fft.irfft(power, axis=1)[:, :count] / count
     within = np.mean(covariance[:, 0]) * count / (count - 1)
     pooled = within * (count - 1) / count
@@ -101,10 +103,11 @@ def effective_size(draws: Draws) -> float:
     kept = np.minimum.accumulate(pairs[:positive])
     time = -1 + 2 * np.sum(kept)
     if positive < len(pairs):
-        # Of the first pair that is left out, its even part, where that is positive.
+        # The even term of the first omitted pair is added if it is positive.
         time += max(correlation[2 * positive], 0.0)
     size = chains * count
-    # Draws that are worth more than independent ones: at most by the logarithm of their number.
+    # Anticorrelated draws may have a larger effective size than independent draws, at most by a
+    # factor of the logarithm of their number.
     return float(size / max(time, 1 / np.log10(size)))
 
 
@@ -113,11 +116,11 @@ def as_arviz(
     statistics: Mapping[str, np.ndarray],
     package: ModuleType | None = None,
 ) -> Any:
-    """Draws as `InferenceData` of ArviZ 0, or as `DataTree` of ArviZ 1 and of `arviz_base`."""
+    """Return draws as ArviZ 0 `InferenceData`, or as `DataTree` of ArviZ 1 or `arviz_base`."""
     if package is None:
         try:
             with warnings.catch_warnings():
-                # Once a day it announces its next generation.
+                # ArviZ announces its next generation once a day.
                 warnings.simplefilter("ignore")
                 package = importlib.import_module("arviz")
         except ImportError:
@@ -133,17 +136,18 @@ def as_arviz(
 
 @dataclasses.dataclass(frozen=True)
 class Marginal:
-    """What is known of one parameter, SI.
+    """Marginal posterior of one parameter, SI.
 
     Attributes:
         unit: SI unit.
-        fitted: where the fit ended.
-        mean: of the draws.
-        deviation: of the draws.
-        interval: from 2.5 to 97.5 % of them.
-        linear: the interval of the fit, from its Jacobian alone; None where it has none.
-        r_hat: 1 where the chains agree; None where all draws are equal.
-        ess_bulk, ess_tail: how many independent draws the mean and the ends are worth; likewise.
+        fitted: estimate of the fit.
+        mean: mean of the draws.
+        deviation: standard deviation of the draws.
+        interval: interval from the 2.5th to the 97.5th percentile of the draws.
+        linear: linearised interval of the fit, from its Jacobian; None if it has none.
+        r_hat: R-hat, 1 if the chains agree; None if all draws are equal.
+        ess_bulk, ess_tail: effective sample sizes for the mean and for the ends of the interval;
+            None if all draws are equal.
     """
 
     unit: str
@@ -157,7 +161,7 @@ class Marginal:
     ess_tail: float | None
 
     def times(self, factor: float, unit: str) -> Self:
-        """The same in another unit."""
+        """Return the marginal in another unit."""
 
         def scaled(ends: tuple[float, float]) -> tuple[float, float]:
             low, high = sorted(end * factor for end in ends)
@@ -175,7 +179,7 @@ class Marginal:
 
 
 def marginal(result: FitResult, optimum: Optimum, index: int, draws: np.ndarray) -> Marginal:
-    """What draws, shape (chain, draw), say of the parameter of an index."""
+    """Return the marginal of the parameter at an index from its draws, shape (chain, draw)."""
     low, high = np.percentile(draws, (2.5, 97.5))
     path = optimum.labels[index].partition(" of ")[0]
     r_hat, ess_bulk, ess_tail = map(finite_or_none, mixing(draws))
@@ -193,7 +197,7 @@ def marginal(result: FitResult, optimum: Optimum, index: int, draws: np.ndarray)
 
 
 def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
-    """The interval that the fit reports, by Student's t and within the bounds."""
+    """Return the interval reported by the fit, from Student's t and within the bounds."""
     statistics = optimum.statistics
     error = finite_or_none(statistics.standard_errors.get(index))
     if error is None:
@@ -203,7 +207,7 @@ def _linear(optimum: Optimum, index: int) -> tuple[float, float] | None:
     return float(max(value - reach, lower)), float(min(value + reach, upper))
 
 
-# What draws must reach to be taken for what they are meant to be (Vehtari et al. 2021).
+# Limits on the draws for a reliable summary (Vehtari et al. 2021).
 MOST_R_HAT, LEAST_ESS = 1.01, 400
 
 
@@ -214,9 +218,9 @@ def doubts(
     failed: Sequence[str],
     asked: int,
 ) -> list[str]:
-    """One sentence for each thing that is wrong with draws, shape (chain, draw, parameter).
+    """Return a sentence for each problem of the draws, shape (chain, draw, parameter).
 
-    `failed` says why chains were not drawn, of as many as were `asked` for.
+    `failed` contains the reasons why chains failed. `asked` is the number of requested chains.
     """
     sentences = []
     chains = samples.shape[0]
@@ -228,16 +232,16 @@ def doubts(
     known = {label: one for label, one in marginals.items() if one.r_hat is not None}
     if stuck := [label for label in marginals if label not in known]:
         sentences.append(
-            f"the chains are stuck: within a chain, all draws of {' and '.join(stuck)} are equal; "
-            "use a longer warm-up, and if that does not help, give priors or bounds that exclude "
-            "values where the model fails"
+            f"the chains are stuck, because all draws of {' and '.join(stuck)} within a chain are "
+            "equal: use a longer warm-up, and if that does not help, give priors or bounds that "
+            "exclude values at which the model fails"
         )
     hats = {label: one.r_hat or 0.0 for label, one in known.items()}
     worst = max(hats, key=lambda label: hats[label], default="")
     if worst and hats[worst] > MOST_R_HAT:
         sentences.append(
-            f"the chains have not converged: R-hat of {worst} is {hats[worst]:.3f}, above "
-            f"{MOST_R_HAT:g}; use more draws and a longer warm-up"
+            f"the chains have not converged, because R-hat of {worst} is {hats[worst]:.3f}, which "
+            f"is above {MOST_R_HAT:g}: use more draws and a longer warm-up"
         )
     sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}
     least = min(sizes, key=lambda label: sizes[label], default="")
@@ -250,25 +254,27 @@ def doubts(
         sentences.append(
             f"{divergences} of {chains * samples.shape[1]} draws diverged, so part of "
             "the posterior may not have been sampled: free fewer parameters, or give priors or "
-            "bounds that exclude values where the model fails"
+            "bounds that exclude values at which the model fails"
         )
     return sentences
 
 
-NORMAL = 1.959964  # where a normal variable is by 95 %, in deviations
+# Half the width of the 95 % interval of a normal variable, in standard deviations.
+NORMAL = 1.959964
 
 
 @dataclasses.dataclass(frozen=True)
 class Band:
-    """Where a channel of a run is predicted to be, SI, each of shape (sample,).
+    """Predicted band of a channel of a run, SI; each array has the shape (sample,).
 
     Attributes:
-        median: of the predictions of draws.
-        low, high: 2.5 and 97.5 % of them: what the parameters leave open.
-        noise: standard deviation of a recorded cell, as the fit left it: more than is stated where
-            residuals exceed that.
-        within: share of the recorded cells that are where noise and parameters together put 95 %;
-            None where nothing was recorded.
+        median: median of the predictions of the draws.
+        low, high: 2.5th and 97.5th percentile of the predictions, which represent the uncertainty
+            of the parameters.
+        noise: standard deviation of a recorded cell, as estimated by the fit; larger than stated if
+            the residuals exceed the stated noise.
+        within: fraction of the recorded cells within the 95 % band of noise and parameters
+            together; None if nothing was recorded.
     """
 
     median: Float[np.ndarray, " sample"]
@@ -278,7 +284,7 @@ class Band:
     within: float | None
 
     def with_noise(self) -> tuple[Float[np.ndarray, " sample"], Float[np.ndarray, " sample"]]:
-        """Where 95 % of recorded cells are to be: both as if they were normal."""
+        """Return the 95 % band of recorded cells: both contributions are treated as normal."""
         reach = NORMAL * self.noise
         low = self.median - np.hypot(self.median - self.low, reach)
         return low, self.median + np.hypot(self.high - self.median, reach)
@@ -292,20 +298,20 @@ class PosteriorSummary(
     remedy="run giajax posterior again",
     indent=2,
 ):
-    """What `posterior.json` says of a posterior.
+    """Contents of `posterior.json`.
 
     Attributes:
-        parameters: by label, those of single runs with the run.
-        chains, draws, warmup: how many chains there are, and transitions of each.
-        asked: how many chains were asked for.
-        seed: of the random numbers.
-        divergences: draws at which the sampler lost the energy, or met where the model fails.
-        scale: what the cost of the measured values was divided by.
-        cost: of the fit that it is of.
-        held: labels of what was free and is not drawn, because no channel responds to it.
-        within: by run, each by another name, and channel, the share of the recorded cells within
-            their 95 % band.
-        warnings: sentences on what is wrong with the draws; empty where nothing is.
+        parameters: marginals by label; labels of parameters of single runs include the run.
+        chains, draws, warmup: number of chains, and of draws and warm-up transitions of each chain.
+        asked: number of requested chains.
+        seed: seed of the random numbers.
+        divergences: number of draws at which the energy was not conserved or the model failed.
+        scale: factor by which the cost of the measured values was divided.
+        cost: cost of the fit.
+        held: labels of free parameters that are not sampled, because no channel responds to them.
+        within: fraction of the recorded cells within their 95 % band, by run (with unique names)
+            and channel.
+        warnings: sentences on problems of the draws; empty if there are none.
     """
 
     parameters: dict[str, Marginal]
@@ -324,14 +330,15 @@ class PosteriorSummary(
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Posterior:
-    """Draws from what is known of the free parameters of a fit; made by `giajax.posterior`.
+    """Draws from the posterior of the free parameters of a fit; created by `giajax.posterior`.
 
     Attributes:
-        summary: of each parameter, and of how the chains have mixed.
-        samples: SI, shape (chain, draw, parameter), in the order of `summary.parameters`.
-        energy: minus the logarithm of their density, up to a constant, shape (chain, draw).
-        diverging, steps, acceptance: of each draw; the same shape.
-        bands: of each run, by channel.
+        summary: marginals of the parameters and convergence statistics.
+        samples: draws, SI, shape (chain, draw, parameter), in the order of `summary.parameters`.
+        energy: minus the logarithm of the density, up to a constant, shape (chain, draw).
+        diverging, steps, acceptance: divergence flag, number of steps and acceptance rate of each
+            draw, shape (chain, draw).
+        bands: predicted bands of each run, by channel.
     """
 
     summary: PosteriorSummary
@@ -344,17 +351,17 @@ class Posterior:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the parameters."""
+        """Labels of the parameters."""
         return tuple(self.summary.parameters)
 
     def draws_of(self, label: str) -> Float[np.ndarray, "chain draw"]:
-        """The draws of one parameter, SI."""
+        """Return the draws of one parameter, SI."""
         if label not in self.labels:
             raise InputError(f"'{label}' was not free in this fit: use one of {self.labels}")
         return self.samples[..., self.labels.index(label)]
 
     def to_arviz(self) -> Any:
-        """The draws as ArviZ takes them: `InferenceData` of ArviZ 0, `DataTree` of ArviZ 1."""
+        """Return the draws as ArviZ 0 `InferenceData` or ArviZ 1 `DataTree`."""
         posterior = {label: self.draws_of(label) for label in self.labels}
         statistics = {
             "lp": -self.energy,
@@ -369,17 +376,18 @@ class Posterior:
         return f"<Posterior: {len(self.labels)} parameters, {known.chains} x {known.draws} draws>"
 
 
-DRAWS = 200  # of 200 draws the ends of a 95 % interval are known to a tenth of its width
+# With 200 draws, the ends of a 95 % interval are known to a tenth of its width.
+DRAWS = 200
 _ENDS = (2.5, 50.0, 97.5)
 
 
 def bands(
     result: FitResult, runs: Sequence[Run], optimum: Optimum, draws: np.ndarray
 ) -> tuple[dict[str, Band], ...]:
-    """Where each channel of each run is predicted to be, by the programs of the fit.
+    """Return the predicted band of each channel of each run, with the programs of the fit.
 
-    The noise of the result is widened as its standard errors are. Of draws, shape (draw,
-    parameter), `DRAWS` are predicted; those at which the model fails are left out.
+    The noise of the result is scaled like its standard errors. `DRAWS` of the draws, shape (draw,
+    parameter), are predicted. Draws at which the model fails are omitted.
     """
     chosen = np.unique(np.linspace(0, len(draws) - 1, DRAWS).round().astype(int))
     points = (optimum.at(draws[index]) for index in chosen)

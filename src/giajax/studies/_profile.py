@@ -1,8 +1,9 @@
-"""Profiles of a fit: how far each quantity can go until the fit is too bad, however the rest helps.
+"""Profile-likelihood intervals of parameters and derived quantities of a fit.
 
-The interval of a standard error takes the residuals to be straight in the parameters. A profile
-does not: it holds a quantity, fits all others, and goes on until the cost says no (Venzon and
-Moolgavkar 1988; Bates and Watts, "Nonlinear Regression Analysis", 1988, section 6.1).
+The interval of a standard error assumes that the residuals are linear in the parameters. A profile
+does not: it holds a quantity at a value, fits all other parameters, and moves on until the cost is
+too large (Venzon and Moolgavkar 1988; Bates and Watts, "Nonlinear Regression Analysis", 1988,
+section 6.1).
 """
 
 import dataclasses
@@ -21,26 +22,34 @@ from ._profile_records import Ending, Profile, ProfilePoint, Profiles, interval_
 from ._profiled import Followed, Profiled, profiled_of, quantity_names, tangent
 from ._refit import Fitted, fit_key
 
-# The root of the deviance is to rise by this in a step, and may rise by so much.
+# Desired and maximum increase of the square root of the deviance per step.
 _STEP, _LARGEST = 0.4, 1.0
 
-# In standard errors: a rise within less is a wall, which need not be known any better.
+# Step, in standard errors, below which a jump of the deviance is treated as a wall and not resolved
+# further.
 _SHORTEST = 0.05
 
-# A step is at most so many times the one before, and at least this part of it.
+# Maximum and minimum ratio of a step to the previous step.
 _GROWTH, _SHRINKING = 2.0, 0.25
 
 _MOST_POINTS, _RETRIES = 40, 5
 
-# So many intervals away, where three steps raised the root by less than this: it is flat.
+# The profile is flat if, at this many interval widths from the estimate, three steps raised the
+# square root by less than this.
 _FAR, _RISE = 15.0, 0.05
 
-_FALL = 0.02  # a fall of the root that is no rounding: the points before it are not the best
-_AT_BOUND = 1e-6  # a parameter this near to its bound, in its own size, is at it
+# A decrease of the square root by more than this is not rounding: the points before it are not the
+# best ones.
+_FALL = 0.02
+# A parameter is at its bound within this fraction of its magnitude.
+_AT_BOUND = 1e-6
 
 
 class PathPoint(NamedTuple):
-    """A fit with the quantity held, and the root of its deviance: negative for a lower cost."""
+    """A fit with the quantity held.
+
+    `root` is the signed square root of the deviance: negative if the cost is lower than in the fit.
+    """
 
     at: float
     root: float
@@ -48,9 +57,9 @@ class PathPoint(NamedTuple):
 
 
 class Side(NamedTuple):
-    """A side of a profile: its points outwards, and what ended it.
+    """One side of a profile: its points outwards, and why it ended.
 
-    That of the fit itself is among them only where a better fit with its value was found.
+    The point at the estimate is included only if a better fit with this value was found.
     """
 
     points: list[PathPoint]
@@ -60,14 +69,14 @@ class Side(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Walk:
-    """What all steps of a side have in common."""
+    """Data shared by all steps of a side."""
 
     optimum: Optimum
     profiled: Profiled
     side: int
 
     def point(self, at: float, before: PathPoint) -> PathPoint:
-        """The fit there, begun along the tangent of another one."""
+        """Fit with the quantity held at `at`, starting along the tangent of another point."""
         start = before.fit.values
         if before.fit.jacobian is not None:
             gradient = self.profiled.quantity(start)[1]
@@ -81,7 +90,7 @@ class _Walk:
         return PathPoint(at, float(root), fit)
 
     def improved(self, points: list[PathPoint]) -> list[PathPoint]:
-        """The points, of which those before the last are fitted again from the one after each.
+        """Fit the points before the last one again, each from the point after it.
 
         A profile that jumps has followed an optimum that was not the best.
         """
@@ -95,9 +104,9 @@ class _Walk:
 
 
 def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Side:
-    """The profile above (side 1) or below (-1) the optimum, to a little beyond a root of deviance.
+    """Return the profile above (side 1) or below (-1) the optimum, to just beyond `reach`.
 
-    Where the side ended by the level, its point before the last is next to the interval's end.
+    If the side ended by the level, its last but one point is next to the end of the interval.
     """
     walk = _Walk(optimum, profiled, side)
     here = optimum.at(optimum.values)
@@ -146,13 +155,13 @@ def walked(optimum: Optimum, profiled: Profiled, side: int, reach: float) -> Sid
 
 
 def _above(root: float, points: list[PathPoint]) -> float:
-    """Root of the deviance from the lowest of some points, which is the optimum or below it."""
+    """Return the square root of the deviance above the lowest of some points, or the optimum."""
     lowest = min(0.0, *(point.root for point in points))
     return float(np.sqrt(max(np.sign(root) * root**2 + lowest**2, 0.0)))
 
 
 def _refined(walk: _Walk, points: list[PathPoint], reach: float) -> list[PathPoint]:
-    """With a point where the interval ends, as nearly as its neighbours tell."""
+    """Add a point near the end of the interval, interpolated between its neighbours."""
     inner, outer = points[-2:]
     low, high = _above(inner.root, points), _above(outer.root, points)
     part = (reach - low) / (high - low)
@@ -169,7 +178,7 @@ SIDES = (-1, 1)
 
 
 def one_side(fitted: Fitted, name: str, side: int, level: float) -> dict[str, Any]:
-    """A task: one side of the profile of one quantity, as plain data."""
+    """Task: compute one side of the profile of one quantity, as plain data."""
     optimum = fitted.optimum()
     profiled = profiled_of(fitted.result, optimum, name)
     found = walked(optimum, profiled, side, profiled.reach(level))
@@ -183,7 +192,7 @@ def one_side(fitted: Fitted, name: str, side: int, level: float) -> dict[str, An
 def combined(
     optimum: Optimum, profiled: Profiled, level: float, pair: tuple[Outcome, Outcome]
 ) -> Profile:
-    """The profile of a quantity, from what came of its two sides, by `SIDES`."""
+    """Combine the outcomes of the two sides, in the order of `SIDES`, to a profile."""
     points = [_point(optimum, profiled.value, 0.0, optimum.values, profiled.name)]
     ended, reasons = [], []
     for outcome in pair:
@@ -221,7 +230,7 @@ def combined(
 
 
 def _best_at_each(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
-    """The points by value, ascending; of those at the same one, the best."""
+    """Return the points in ascending order of the value; for equal values only the best one."""
     best: dict[float, ProfilePoint] = {}
     for point in points:
         known = best.setdefault(point.value, point)
@@ -233,7 +242,7 @@ def _best_at_each(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
 def _point(
     optimum: Optimum, at: float, deviance: float, values: np.ndarray, name: str
 ) -> ProfilePoint:
-    """With the parameters that are at a bound, apart from the one of this name."""
+    """Return a point with the names of the other parameters that are at a bound."""
     lower, upper = optimum.bounds
     near = _AT_BOUND * np.asarray(optimum.state.sizes)
     there = np.flatnonzero((values - lower <= near) | (upper - values <= near))
@@ -255,24 +264,27 @@ def profile(
     known: Profiles | None = None,
     **how: Unpack[Execution],
 ) -> Profiles:
-    """Profile parameters and derived quantities of a fit.
+    """Compute profile-likelihood intervals of parameters and derived quantities of a fit.
 
-    Each is held at values ever farther from its estimate, on both sides, while all other
-    parameters are fitted, until the fit is worse than `level` allows, a bound is met, or the data
-    give no end. On a problem that is linear the interval is that of the standard error.
+    Each quantity is held at values increasingly far from its estimate, on both sides, while all
+    other parameters are fitted. A side ends when the fit is worse than `level` allows, when a bound
+    is reached, or when the data do not limit the quantity. For a linear problem the interval equals
+    the interval of the standard error.
 
     Arguments:
-        result, runs: of a fit that converged, and what it was fitted to, in their order.
-        paths: of free parameters (also of what single runs have, such as `initial.angle`), or
-            names of `result.derived`; by default all free parameters of the model.
-        level: of the intervals.
-        known: profiles of this fit and level, which are not made again; those asked for are
-            returned with the new ones.
-        how: who does the sides, each a task, as of `giajax.runtime.execution.Execution`; after
-            Ctrl-C, those that were not completed are "stopped".
+        result, runs: result of a fit that converged and the fitted runs, in the same order.
+        paths: paths of free parameters (also those of single runs, such as `initial.angle`), or
+            names of `result.derived`; defaults to all free parameters of the model.
+        level: confidence level of the intervals.
+        known: existing profiles of this fit and level, which are not computed again. Requested ones
+            are returned together with the new ones.
+        how: execution of the sides, each of which is a task, as for
+            `giajax.runtime.execution.Execution`; after Ctrl-C, sides that were not completed are
+            "stopped".
 
     Raises:
-        InputError: a path that was not free, no level, no converged fit, or other runs than its.
+        InputError: a path was not free; the level is invalid; the fit has not converged; or the
+            runs do not match the result.
 
     Example:
         >>> profiles = giajax.profile(result, run, ["air.drag_coefficient"])  # doctest: +SKIP

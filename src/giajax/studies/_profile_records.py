@@ -1,6 +1,6 @@
-"""A profile as data: how the cost rises as one quantity is held ever farther from its estimate.
+"""Records of profiles: the increase of the cost when a quantity is held away from its estimate.
 
-JSON gives each record back; field by field they are the objects of `profiles.json`.
+The file `profiles.json` has the same fields, and the records can be read from it.
 """
 
 import dataclasses
@@ -18,27 +18,28 @@ from ._refit import StudyRecord
 
 PROFILES = "profiles.json"
 Ending: TypeAlias = Literal["level", "bound", "flat", "failed", "unfinished", "stopped"]
-"""What ended a side of a profile.
+"""Reason why one side of a profile ended.
 
-- level: the deviance is beyond that of the interval.
-- bound: the bound of the quantity came first: the interval ends there, and is one-sided.
-- flat: the deviance does not rise any more: the data do not bound the quantity there.
+- level: the deviance exceeds the limit of the interval.
+- bound: the quantity reached its bound first, so the interval ends there and is one-sided.
+- flat: the deviance no longer rises, so the data do not limit the quantity there.
 - failed: no further point could be fitted.
-- unfinished: it rises so slowly that the points were used up.
-- stopped: by Ctrl-C.
+- unfinished: the deviance rises so slowly that the maximum number of points was reached.
+- stopped: the profile was stopped by Ctrl-C.
 """
 
 
 @dataclasses.dataclass(frozen=True)
 class ProfilePoint:
-    """The best fit with the quantity held.
+    """Best fit with the quantity held at one value.
 
     Attributes:
-        value: at which it was held, SI.
-        deviance: how much worse the fit is, in units in which a parabola of one at one standard
-            error is what the linear interval takes it for.
-        values: of the parameters of the model there, SI, in the order of `Profiles.labels`.
-        at_bounds: the other parameters that are at a bound there.
+        value: held value, SI.
+        deviance: increase of the cost, scaled such that the linear interval corresponds to a
+            parabola of height 1 at one standard error.
+        values: values of the parameters of the model at this point, SI, in the order of
+            `Profiles.labels`.
+        at_bounds: names of other parameters that are at a bound at this point.
     """
 
     value: float
@@ -49,23 +50,24 @@ class ProfilePoint:
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """The profile of one quantity.
+    """Profile of one quantity.
 
     Attributes:
-        name: of a free parameter, with its run or group of runs where it is not shared, or of a
+        name: name of a free parameter, with its run or group of runs if it is not shared, or of a
             derived quantity.
         unit: SI unit.
         value: estimate of the fit.
-        standard_error: of the fit; None if there is none.
-        linear: interval of the fit, by Student's t within the bounds; None likewise.
-        reach: the root of the deviance at which the interval ends: the quantile of Student's t.
-        lower, upper: bounds of the quantity; None where there is none.
-        interval: by the profile: where the deviance comes to the square of `reach`, or a bound.
-            None for an end that was not found.
-        ended: what ended the lower and the upper side.
-        points: with the quantity in ascending order, the estimate among them.
-        lowest: deviance of the best point: below 0 where the fit was not at its optimum.
-        remarks: sentences on what a reader must know.
+        standard_error: standard error of the fit; None if there is none.
+        linear: interval of the fit, from Student's t within the bounds; None if there is no
+            standard error.
+        reach: square root of the deviance at which the interval ends: the quantile of Student's t.
+        lower, upper: bounds of the quantity; None if there is none.
+        interval: profile-likelihood interval; it ends where the deviance reaches the square of
+            `reach`, or at a bound. None for an end that was not found.
+        ended: reasons why the lower and the upper side ended.
+        points: points in ascending order of the quantity, including the estimate.
+        lowest: deviance of the best point; negative if the fit was not at its optimum.
+        remarks: sentences that a reader must know.
     """
 
     name: str
@@ -84,7 +86,7 @@ class Profile:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing stopped it."""
+        """Whether no side was stopped by Ctrl-C."""
         return "stopped" not in self.ended
 
 
@@ -92,13 +94,13 @@ class Profile:
 class Profiles(
     StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="run giajax profile again"
 ):
-    """Profiles of a fit.
+    """Profiles of the quantities of a fit.
 
     Attributes:
-        fit: `fit_key` of the result that they are of.
-        level: of the intervals.
-        labels: names of the model's free parameters, whose values the points have.
-        profiles: by the name of the quantity.
+        fit: `fit_key` of the result.
+        level: confidence level of the intervals.
+        labels: names of the free parameters of the model whose values the points contain.
+        profiles: profiles by the name of the quantity.
     """
 
     fit: str
@@ -107,12 +109,12 @@ class Profiles(
     profiles: dict[str, Profile]
 
     def __getitem__(self, name: str) -> Profile:
-        """The profile of a quantity."""
+        """Return the profile of a quantity."""
         return self.profiles[name]
 
 
 def load_profiles(path: str | Path) -> Profiles:
-    """Read a `profiles.json`, or that of the folder of a result.
+    """Read a `profiles.json` file, given its path or the folder of the result.
 
     Example:
         >>> profiles = load_profiles("giajax-out/base_step")  # doctest: +SKIP
@@ -130,14 +132,16 @@ def load_profiles(path: str | Path) -> Profiles:
     return parse_record(Profiles, text, Profiles.head, what, "run giajax profile again")
 
 
-LOWER = 0.01  # a deviance this far below that of the fit is no rounding
+# A deviance that is lower than that of the fit by more than this is not a rounding error.
+LOWER = 0.01
 
 
 def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> float | None:
-    """The upper (side 1) or lower (-1) value at which the deviance exceeds its least by reach^2.
+    """Return the upper (side 1) or lower (-1) value at which the deviance rises by reach^2.
 
-    Of the root, which is nearly straight, the inverse is interpolated by a monotone cubic
-    (Fritsch and Carlson 1980). Points are by value, ascending; None where they do not come to it.
+    The rise is measured from the minimum. The square root of the deviance is nearly linear, so its
+    inverse is interpolated by a monotone cubic (Fritsch and Carlson 1980). Points are in ascending
+    order of the value. None if the deviance does not rise so far.
     """
     ordered = points if side > 0 else points[::-1]
     lowest = min(range(len(ordered)), key=lambda index: ordered[index].deviance)
@@ -147,10 +151,11 @@ def interval_end(points: Sequence[ProfilePoint], side: int, reach: float) -> flo
     crossing = next((index for index, root in enumerate(roots) if root >= reach), 0)
     if not crossing:
         return None
-    # Slow to import, and needed for profiles alone.
+    # Imported here because it is slow to import and only profiles need it.
     from scipy.interpolate import PchipInterpolator
 
-    # From the first crossing inwards, without what a rough cost makes rise there; and one beyond.
+    # Points from the first crossing inwards, without those at which a rough cost rises, and one
+    # point beyond the crossing.
     kept = [crossing]
     for index in range(crossing - 1, -1, -1):
         if roots[index] < roots[kept[0]]:
@@ -168,7 +173,7 @@ def remarks_on(
     reasons: tuple[str, str],
     value: float,
 ) -> tuple[str, ...]:
-    """Sentences on what a reader must know before using the interval around the estimate."""
+    """Return the sentences that a reader must know before using the interval."""
     said = []
     lowest = min(points, key=lambda point: point.deviance)
     if lowest.deviance < -LOWER:

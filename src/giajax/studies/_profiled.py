@@ -1,4 +1,4 @@
-"""What is profiled: a free parameter or a derived quantity, and how a fit holds it."""
+"""Profiled quantity: a free parameter or a derived quantity, and fits with it held."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -10,15 +10,15 @@ from ..fitting import BlockJacobian, FitResult, Optimum, Point, student_reach
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError, one_of
 
-# Singular values of the normalised Jacobian below this part of the largest are rounding: what they
-# belong to costs nothing, but is not to run away.
+# Singular values of the normalised Jacobian below this fraction of the largest are rounding errors.
+# The corresponding directions do not change the cost, but must not diverge.
 _LEAST = 1e-7
 
 
 def weights(jacobian: BlockJacobian, movable: np.ndarray) -> np.ndarray:
-    """The inverse of J^T J, of the columns that may move; zero elsewhere.
+    """Return the inverse of J^T J for the columns that may move; zero elsewhere.
 
-    What leaves all residuals unchanged has a large, finite part.
+    Directions that leave all residuals unchanged receive a large but finite value.
     """
     norms = jacobian.norms()
     columns = np.flatnonzero(movable & (norms > 0))
@@ -39,10 +39,11 @@ def tangent(
     bounds: tuple[np.ndarray, np.ndarray],
     side: int,
 ) -> np.ndarray:
-    """The change of all parameters that costs least where a quantity of this gradient moves by one.
+    """Return the cheapest change of all parameters that changes a quantity by one.
 
-    The quantity is to grow (side 1) or fall (-1), and what is at a bound does not move beyond it.
-    Zero where nothing that may move changes the quantity.
+    `gradient` is the gradient of the quantity. The quantity is to increase (side 1) or decrease
+    (-1), and a parameter at a bound does not move beyond it. The result is zero if no parameter
+    that may move changes the quantity.
     """
     movable = np.ones(len(values), dtype=bool)
     for _ in range(len(values) + 1):
@@ -61,32 +62,32 @@ def tangent(
 def beyond(
     values: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], step: np.ndarray
 ) -> np.ndarray:
-    """Which of the parameters are at a bound that a step would lead beyond."""
+    """Return which parameters are at a bound that a step would violate."""
     lower, upper = bounds
     return ((values <= lower) & (step < 0)) | ((values >= upper) & (step > 0))
 
 
-# The best fit on which a quantity of several parameters has a given value.
+# Best fit under the constraint that a quantity of several parameters has a given value.
 #
-# Marquardt's steps of least squares with one more equation, the quantity to first order; after
-# each, the parameters go back to where the quantity has its value to the last digit, along the
-# direction that costs least. So the cost is all that is to fall, and only at points that keep the
-# equation.
+# Levenberg-Marquardt steps with the linearised quantity as an additional equation. After each step
+# the parameters are moved along the cheapest direction to where the quantity has its value to
+# machine precision. Therefore only the cost has to decrease, and all points satisfy the constraint.
 
 Quantity = Callable[[np.ndarray], tuple[float, np.ndarray]]
-"""From the values of all free parameters to a value and its gradient."""
+"""Function of the values of all free parameters that returns a value and its gradient."""
 
 _MOST = 40
 
-_LITTLE = 1e-7  # part of a unit of the noise that is not worth another step
+# A smaller predicted decrease of the cost is not worth another step.
+_LITTLE = 1e-7
 _SHORTEST, _ROUNDING, _CORRECTIONS = 1e-9, 1e-12, 30
 
 
 class Followed(NamedTuple):
-    """A fit with a quantity held: the values of all free parameters, SI, and how it ended there.
+    """A fit with a quantity held: the values of all free parameters, SI, and how it ended.
 
-    The cost is infinite, and there is no Jacobian of the residuals, where nothing could be
-    evaluated; the reason is one of `Refit`.
+    If nothing could be evaluated, the cost is infinite and there is no Jacobian of the residuals.
+    The reason is one of `Refit`.
     """
 
     values: np.ndarray
@@ -97,11 +98,11 @@ class Followed(NamedTuple):
 
 
 def constrained(optimum: Optimum, quantity: Quantity, held: float, start: np.ndarray) -> Followed:
-    """Fit with a quantity held at a value, which it need not have at the start."""
+    """Fit with a quantity held at a value, which the start need not satisfy."""
     bounds = optimum.bounds
     alive, bread = optimum.statistics.alive, optimum.statistics.bread
     metric = np.zeros((len(start), len(start)))
-    # What only a combination is known of may move, too.
+    # Parameters of which only a combination is determined may move, too.
     metric[np.ix_(alive, alive)] = bread + 1e-6 * np.diag(np.diag(bread))
     values = _restored(quantity, held, np.clip(start, *bounds), bounds, metric)
     if values is None:
@@ -119,7 +120,7 @@ def constrained(optimum: Optimum, quantity: Quantity, held: float, start: np.nda
         if moved is not None and tried is not None and tried.cost < point.cost:
             values, point, damping = moved, tried, max(damping / 10, 1e-12)
         elif damping > 1 / _SHORTEST:
-            # No step is left: the cost is not smooth here, or it cannot be evaluated beyond.
+            # No step is left. The cost is not smooth here, or it cannot be evaluated beyond.
             return Followed(values, point.cost, point.jacobian, "rough", promised < 0.01)
         else:
             damping = max(damping, 1e-6) * 10
@@ -133,9 +134,10 @@ def _step(
     bounds: tuple[np.ndarray, np.ndarray],
     damping: float,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """The step that leaves the quantity as it is, the metric, and by how much the cost is to fall.
+    """Return the step that preserves the quantity, the metric, and the predicted decrease of cost.
 
-    What would leave its bound stays on it, and the others are solved for again.
+    A parameter that would cross its bound stays on it, and the step of the others is solved for
+    again.
     """
     jacobian = point.jacobian
     slope = jacobian.transposed_times(point.residual)
@@ -148,7 +150,7 @@ def _step(
         metric, step = np.zeros_like(normal), np.zeros(len(values))
         if not len(columns):
             break
-        # Scaled, so that parameters of any size count alike.
+        # The matrix is scaled because the magnitudes of parameters differ.
         scaled = normal[np.ix_(columns, columns)] / np.outer(norms[columns], norms[columns])
         inverse = np.linalg.pinv(scaled, rcond=1e-14, hermitian=True)
         metric[np.ix_(columns, columns)] = inverse / np.outer(norms[columns], norms[columns])
@@ -172,7 +174,7 @@ def _restored(
     bounds: tuple[np.ndarray, np.ndarray],
     metric: np.ndarray,
 ) -> np.ndarray | None:
-    """The values moved to where the quantity is as it is held; None if there is no such place."""
+    """Move the values to where the quantity has the held value; None if this is impossible."""
     for _ in range(_CORRECTIONS):
         value, gradient = quantity(values)
         if not np.isfinite(value):
@@ -189,24 +191,28 @@ def _restored(
     return None
 
 
-_UNKNOWN = 0.1  # of the size of what has no standard error: as far as a first step goes
+# First step of a quantity without a standard error, as a fraction of its magnitude.
+_UNKNOWN = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
 class Profiled:
-    """A quantity of a fit, with what the fit says of it.
+    """A quantity of a fit, with the results of the fit for it.
 
     Attributes:
         name: label of a free parameter, or name of a derived quantity.
+        unit: SI unit.
+        value: estimate of the fit.
         error: standard error; None if it has none.
         freedom: degrees of freedom of Student's t for its interval.
-        factor: deviance of the cost over that which is meant: a parabola of the cost is one of
-            `error` once it is divided by this. It is above 1 where the residuals exceed the noise,
-            or the noise was estimated from them.
-        lower, upper: bounds, infinite where there is none.
-        size: of the first step.
-        position: of the free parameter; None for a derived quantity.
-        fixed: whether nothing of the data responds to it.
+        factor: factor by which the deviance of the cost is divided, so that its parabola has the
+            width `error`. It is above 1 if the residuals exceed the noise, or if the noise was
+            estimated from them.
+        lower, upper: bounds, infinite if there is none.
+        size: size of the first step.
+        position: index of the free parameter; None for a derived quantity.
+        quantity: function that returns the value and its gradient.
+        fixed: whether no channel responds to it.
     """
 
     name: str
@@ -223,23 +229,24 @@ class Profiled:
     fixed: bool
 
     def reach(self, level: float) -> float:
-        """Root of the deviance at which an interval ends."""
+        """Return the square root of the deviance at which an interval ends."""
         return student_reach(self.freedom, level)
 
     def linear(self, level: float) -> tuple[float, float] | None:
-        """The interval of the standard error, within the bounds."""
+        """Return the interval of the standard error, within the bounds."""
         if self.error is None:
             return None
         width = self.reach(level) * self.error
         return max(self.value - width, self.lower), min(self.value + width, self.upper)
 
     def held(self, optimum: Optimum, value: float, start: np.ndarray) -> Followed:
-        """The best fit with it held, from a start of all free parameters."""
+        """Return the best fit with the quantity held, from given values of all free parameters."""
         if self.position is None:
             return constrained(optimum, self.quantity, value, start)
         ended = optimum.refit(held={self.name: value}, start=start)
         known = ended.state.evaluated
-        # What is held has a column, too: it says where the others go when it is moved.
+        # The Jacobian includes the column of the held parameter, because it gives the direction of
+        # the others when the held parameter moves.
         everything = dataclasses.replace(ended.state, active=optimum.state.active)
         return Followed(
             values=ended.values,
@@ -251,10 +258,11 @@ class Profiled:
 
 
 def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | None) -> list[str]:
-    """What is to be profiled, by the names that `profiled_of` takes.
+    """Return the names of the quantities to be profiled, as used by `profiled_of`.
 
-    `asked` are labels, paths (of an array, or of what has a value for each run, all of its values)
-    or names of derived quantities; None for all free parameters of the model that were asked for.
+    `asked` contains labels, paths (which stand for all values of an array, or of a parameter with
+    one value per run) or names of derived quantities. None stands for all free parameters of the
+    model that were requested.
     """
     shared = optimum.labels[: optimum.state.problem.shared]
     names: list[str] = []
@@ -280,7 +288,7 @@ def quantity_names(result: FitResult, optimum: Optimum, asked: Sequence[str] | N
 
 
 def profiled_of(result: FitResult, optimum: Optimum, name: str) -> Profiled:
-    """A quantity by its name, one of `quantity_names`."""
+    """Return a quantity by its name, which is one of `quantity_names`."""
     statistics, position = optimum.statistics, None
     quantity: Quantity
     if (estimate := result.derived.get(name)) is not None:
@@ -302,9 +310,9 @@ def profiled_of(result: FitResult, optimum: Optimum, name: str) -> Profiled:
 
     slope, factor = gradient[statistics.alive], statistics.scale
     if error is not None:
-        # Over its standard error if the cost were all there is to know.
+        # Ratio of the standard error to the standard error from the cost alone, squared.
         factor = (error / float(np.sqrt(slope @ statistics.bread @ slope))) ** 2
-    # As few degrees of freedom as any parameter that it follows from.
+    # The smallest degrees of freedom of the parameters on which it depends.
     known = [statistics.degrees_of_freedom.get(int(i), np.inf) for i in np.flatnonzero(gradient)]
     return Profiled(
         name=name,

@@ -1,4 +1,4 @@
-"""A fit again, changed a little: from where another one ended."""
+"""Refits with small changes, starting from the end of another fit, and records of studies."""
 
 import dataclasses
 import functools
@@ -36,24 +36,25 @@ from ..runtime.tasks import Outcome, Task
 from ..runtime.text import InputError
 from ..schema.parameters import Parameter, declared, elements, get, switched_on
 
-# Of the size of a parameter, or of the range that it has: how far from a bound a fit starts.
+# Minimum distance of an initial guess from a bound, as a fraction of the magnitude of a parameter
+# or of its range.
 _INSIDE = 1e-3
 
 
 def end_values(result: FitResult) -> dict[str, float]:
-    """Values of the free parameters where a fit ended, by path, SI."""
+    """Return the values of the free parameters at the end of a fit, by path, SI."""
     return {path: float(estimate.value) for path, estimate in result.free.items()}
 
 
 def with_fitted_states(result: FitResult, runs: Sequence[Run]) -> list[Run]:
-    """The runs of a result, in their order, each with the initial state that was fitted for it."""
+    """Return the runs of a result, in the same order, with their fitted initial states."""
     return [_begun_as(result, run, record) for run, record in zip(runs, result.runs, strict=True)]
 
 
 def with_fitted_state(result: FitResult, run: Run) -> Run:
-    """A run with the initial state that was fitted for it.
+    """Return a run with its fitted initial state.
 
-    One of another name or another file than those that were fitted is the same.
+    A run whose name or file differs from the fitted runs is returned unchanged.
     """
     for record in result.runs:
         if (record.name, record.sha256) == (run.name, run.sha256):
@@ -73,7 +74,7 @@ def _begun_as(result: FitResult, run: Run, record: RunFit) -> Run:
 
 
 def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
-    """Where a fit of runs, in their order, ended: to be asked again without compiling again."""
+    """Return the end of a fit of runs, in the same order, for evaluations without recompilation."""
     settings, model = FitSettings.shared_with(result.config), result.model
     values = end_values(result)
     start = {
@@ -87,7 +88,7 @@ def optimum_of(result: FitResult, runs: Sequence[Run]) -> Optimum:
         record.name: {path: each.value for path, each in record.parameters.items()}
         for record in result.runs
     }
-    # As it ended, also on a bound, where no fit may start.
+    # The end of the fit may be on a bound, where no fit may start.
     there = setup.started_at(values)
     return optimum(dataclasses.replace(there, own=own), result.runs)
 
@@ -109,20 +110,20 @@ def refit(
     progress: Callable[[Iteration], None] | None = None,
     check: bool = False,
 ) -> FitResult:
-    """Fit the same runs again from where a fit ended, with more parameters or another model.
+    """Fit the same runs again from the end of a fit, with more parameters or another model.
 
     Arguments:
-        result, runs: the fit to begin from: its free parameters with their priors, bounds, ties
-            and groups of runs, and its loss, are those of the new one.
-        model: in place of the fitted model; it must have the free parameters.
-        free: paths of further parameters to free; those that are left out are switched on.
-        start: start values by path, SI, in place of those that the model has. What ended at a
-            bound starts a little inside of it.
-        fix: values by path, SI, that are set and held; what was free of it no longer is.
-        priors: by path, in place of those that free parameters had; None for none.
-        ties: further ones, of parameters that were held.
-        noise_model, loss, max_iterations, budget, progress, check: as of `giajax.fit`; noise model
-            and loss are those of `result`.
+        result, runs: the fit to start from. Its free parameters with their priors, bounds, ties and
+            groups of runs, and its loss, are used again.
+        model: model that replaces the fitted one; it must have the free parameters.
+        free: paths of further parameters to free; omitted parts are switched on.
+        start: initial guesses by path, SI, that replace the values of the model. A parameter that
+            ended at a bound starts slightly inside it.
+        fix: values by path, SI, at which parameters are fixed; they are no longer free.
+        priors: priors by path that replace the priors of free parameters; None removes a prior.
+        ties: further ties, of parameters that were fixed.
+        noise_model, loss, max_iterations, budget, progress, check: as for `giajax.fit`; the noise
+            model and the loss default to those of `result`.
     """
     model = result.model if model is None else model
     own, model = _own_values(result, model), switched_on(model, free)
@@ -161,7 +162,7 @@ def refit(
         for name, values in own.items()
     })  # fmt: skip
     nuisances = [p for p in result.nuisances if p in setup.priors]
-    # From where on what of the same runs was held out: their files are read again by it.
+    # Start of the held-out part of each run, because the files of the runs are read again with it.
     before = [about.get("held_from") for about in result.config.get("runs", ())]
     several = [
         {**about, **({"held_from": first} if first else {})}
@@ -170,7 +171,7 @@ def refit(
     config = {**setup.config, "nuisances": nuisances, "runs": several}
     setup = dataclasses.replace(setup, config=config)
     if result.integration is not None and result.integration.chosen:
-        # What moved nothing of one model may move another.
+        # A tolerance that is fine enough for one model may be too coarse for another.
         config = {**setup.config, "tolerance": None}
         setup = dataclasses.replace(setup, reopened=True, config=config)
     return solve(
@@ -179,9 +180,10 @@ def refit(
 
 
 def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, float]]:
-    """By the name of a run, the values of what it does not share with all others.
+    """Return, by the name of each run, the values of the parameters that not all runs share.
 
-    Only of what a model has as the fitted one does: another choice may scale them all.
+    Only parameters that have the same value in the model as in the fit are included, because
+    another choice of the model may scale them all.
     """
     known = declared(model)
     kept = {
@@ -196,7 +198,7 @@ def _own_values(result: FitResult, model: AbstractModel) -> dict[str, dict[str, 
 
 
 def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[float]]) -> float:
-    """A value well within the bounds of a fit, where a start on one of them would stay."""
+    """Return a value well inside the bounds of a fit. A start on a bound would remain there."""
     declaration, path = parameter.declaration, parameter.path
     whole = bounds.get(path.partition("[")[0], (declaration.lower, declaration.upper))
     lower, upper = bounds.get(path, whole)
@@ -206,14 +208,14 @@ def _inside(parameter: Parameter, value: float, bounds: Mapping[str, Sequence[fl
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
-    """A result, without predictions, with its runs, in their order: any process can take it up."""
+    """A result without predictions and its runs, in the same order, for use in any process."""
 
     result: FitResult
     runs: tuple[Run, ...]
 
     @classmethod
     def of(cls, result: FitResult, runs: Run | Sequence[Run], *, converged: bool = False) -> Self:
-        """A result, which must have `converged` or not, and its runs, in their order."""
+        """Return a result with its runs, in the same order; require convergence if `converged`."""
         if converged and result.status != "converged":
             raise InputError(
                 "the fit did not converge, so there is no optimum: continue the fit until it "
@@ -226,9 +228,9 @@ class Fitted:
 
     @functools.cached_property
     def task_key(self) -> str:
-        """SHA-256 of what decides the optimum: the same for a result and its `result.json`.
+        """SHA-256 of all that determines the optimum: equal for a result and its `result.json`.
 
-        Times, places of files, versions, and what was asked of a result afterwards do not count.
+        Times, locations of files, versions and later analyses of the result do not affect it.
         """
         data = content(list(map(fingerprint, self.runs)))
         return hashlib.sha256((fit_key(self.result) + data).encode()).hexdigest()
@@ -236,24 +238,26 @@ class Fitted:
     def study(
         self, function: Callable[..., Any], each: Iterable[Mapping[str, Any]], **how: Any
     ) -> list[Outcome]:
-        """What comes of calls of a function with this fit, which any worker can make.
+        """Call a function with this fit, and other arguments, on any worker.
 
-        This is what all studies of a fit are: their settings decide the calls, and what the calls
-        return becomes their record. Seeds follow from functions and arguments. The function is at
-        the top of a module, and its first argument is `fitted`; `each` are the others.
+        All studies of a fit are of this form: their settings determine the calls, and their record
+        is made from the returned values. Seeds are derived from the functions and arguments. The
+        function is defined at the top level of a module and has a first argument `fitted`. `each`
+        contains the other arguments of each call.
         """
         tasks = [Task(function, {"fitted": self, **arguments}) for arguments in each]
         return run_tasks(tasks, **how)
 
     def optimum(self) -> Optimum:
-        """Where the fit ended, evaluated once a process, however many tasks request it."""
+        """Return the end of the fit, which is evaluated once per process for all tasks."""
         return prepared(("optimum", self.task_key), lambda: optimum_of(self.result, self.runs))
 
 
 def fit_key(result: FitResult) -> str:
-    """SHA-256 of what of a result decides its optimum; the runs count by their checksums.
+    """Return the SHA-256 of the data of a result that determine its optimum.
 
-    It says whether a file beside `result.json` is of this fit.
+    The checksums of the runs are included. The key identifies the files beside `result.json` that
+    belong to this fit.
     """
     kept: dict[str, Any] = {
         name: _counted(getattr(result, name)) for name in ("config", "parameters", "integration")
@@ -264,7 +268,7 @@ def fit_key(result: FitResult) -> str:
 
 
 def _counted(value: Any) -> Any:
-    """What of a record counts, as JSON gives it: a field by the name that it has in keys."""
+    """Return the data of a record that determine the optimum, as plain JSON data."""
     if dataclasses.is_dataclass(value):
         fields = ((name, _counted(item), default) for name, item, default in fields_of(value))
         return {
@@ -282,16 +286,16 @@ def _counted(value: Any) -> Any:
 
 
 class StudyRecord:
-    """What a study of a fit found, as a file beside its `result.json`.
+    """Result of a study of a fit, stored as a file beside its `result.json`.
 
-    A study derives a frozen dataclass from it, with the keywords below. How it is shown is its
-    `giajax.report.RecordView`.
+    The record of a study is a frozen dataclass that is derived from this class with the keywords
+    below. Its `giajax.report.RecordView` defines how it is shown.
 
     Attributes:
         file: name of the file.
-        head: its first keys: the version of what is in it.
-        remedy: what to do where a file holds no such record.
-        indent: spaces of a level.
+        head: first keys of the file: the version of its format.
+        remedy: instruction for a file that does not contain such a record.
+        indent: number of spaces per level of indentation.
     """
 
     file: ClassVar[str]
@@ -305,9 +309,9 @@ class StudyRecord:
         cls.file, cls.head, cls.remedy, cls.indent = file, head, remedy, indent
 
     def is_of(self, result: FitResult) -> bool:
-        """Whether it is of this fit, and not of another one that was in its place.
+        """Return whether the record belongs to this fit rather than to an earlier one.
 
-        Records say so by the key of the result (`fit`), its values (`fitted`), or its `cost`.
+        Records contain the key of the result (`fit`), its values (`fitted`), or its `cost`.
         """
         known = {"fit": fit_key, "fitted": end_values, "cost": lambda result: result.cost}
         for name, of in known.items():
@@ -316,18 +320,18 @@ class StudyRecord:
         return False
 
     def to_json(self) -> str:
-        """The text of its file; what is not finite is null."""
+        """Return the text of the file; values that are not finite are null."""
         return json_text(self, self.head, indent=self.indent)
 
     @classmethod
     def of_json(cls, text: str | bytes) -> Self:
-        """The record that a text of `to_json` holds."""
+        """Return the record in a text of `to_json`."""
         what = f"this is not a valid {cls.file} file of this version of giajax"
         return parse_record(cls, text, cls.head, what, cls.remedy)
 
 
 def fingerprint(run: Run) -> tuple[Any, ...]:
-    """What a fit knows of a run, wherever its file lies."""
+    """Return all that a fit uses of a run, regardless of the location of its file."""
     arrays = {
         name: list(values) if values.dtype == object else values
         for name, values in run.values.items()

@@ -1,9 +1,9 @@
-"""Score tests: what one more column of the Jacobian would take from the residuals of a fit.
+"""Score tests: the decrease of chi-square of a fit due to one more column of the Jacobian.
 
-With the weighted residuals r of a fit, its Jacobian J and the column z of what it held,
-z_perp = z - J (J^+ z) is what the fitted parameters cannot imitate. A step of
--z_perp.r / z_perp.z_perp along it lowers the sum of squares by (z_perp.r)^2 / z_perp.z_perp
-(Rao's score test; Cook & Weisberg 1982, sec. 2.2). At a bound the step ends there.
+The weighted residuals of a fit are r, its Jacobian is J, and z is the column of a fixed parameter.
+Then z_perp = z - J (J^+ z) is the part of z that the fitted parameters cannot reproduce. A step of
+-z_perp.r / z_perp.z_perp along it lowers the sum of squares by (z_perp.r)^2 / z_perp.z_perp (Rao's
+score test; Cook & Weisberg 1982, sec. 2.2). The step ends at a bound.
 """
 
 import dataclasses
@@ -46,7 +46,7 @@ Array = np.ndarray
 
 
 def varied_values(result: FitResult) -> list[dict[str, float]]:
-    """Of each run, the values of the model's parameters that not all runs share, by path."""
+    """Return, for each run, the model parameters that not all runs share, by path."""
     known = declared(result.model)
     return [
         {
@@ -59,7 +59,7 @@ def varied_values(result: FitResult) -> list[dict[str, float]]:
 
 
 def models_of_runs(result: FitResult) -> list[AbstractModel]:
-    """The fitted model as it is for each run."""
+    """Return the fitted model for each run."""
     ties = resolved_ties(result.model, result.config.get("ties", {}))
     return [
         tied(replace(result.model, values), ties) if values else result.model
@@ -68,9 +68,10 @@ def models_of_runs(result: FitResult) -> list[AbstractModel]:
 
 
 def as_begun(result: FitResult) -> FitResult | None:
-    """The result as if it had ended where it began; None where that is not known.
+    """Return the result as if it had ended at its initial guess; None if that is unknown.
 
-    That is where runs have values of their own, whose starts the history does not have.
+    It is unknown if runs have values of their own, because the history does not contain their
+    initial guesses.
     """
     if not result.history or any(record.parameters for record in result.runs):
         return None
@@ -94,11 +95,11 @@ def responses_of(
     *,
     variant: str | None = None,
 ) -> list[Response]:
-    """The responses of each run where a fit ended, what is tied moving with what it follows from.
+    """Return the responses of each run at the end of a fit; tied parameters follow their ties.
 
-    The model is the fitted one, with further parts or another choice: what not all runs share is as
-    it is with the `variant` of that name. An InputError where it cannot be evaluated there, or
-    lacks what a tie follows from.
+    The model is the fitted one, with further parts or another choice. For another choice, `variant`
+    is its name, and the values that not all runs share are taken from it. An `InputError` is raised
+    if the model cannot be evaluated there or lacks a parameter that a tie requires.
     """
     values = varied_values(result)
     if variant is not None and any(values):
@@ -117,15 +118,16 @@ def responses_of(
 
 @dataclasses.dataclass(frozen=True)
 class Coordinates:
-    """The coordinates of a fit: those that several runs share, and those of single runs.
+    """Coordinates of a fit: shared by several runs, or belonging to single runs.
 
     Attributes:
-        places: of each run, where the value of each free parameter stands among what is shared;
-            -1 where no other run has it.
-        shared: the free parameter of each shared coordinate, by its position among all.
-        known: rows of the residual that are priors of what is shared, and their derivatives by it,
+        places: for each run, the index of each free parameter among the shared coordinates; -1 if
+            no other run has the parameter.
+        shared: index of the free parameter of each shared coordinate.
+        known: rows of the residual for the priors of shared coordinates, and their derivatives,
             shape (prior, 1 + shared).
-        known_of_runs: of each run, the same for what it has alone, shape (prior, 1 + own).
+        known_of_runs: for each run, the same for the coordinates that only this run has, shape
+            (prior, 1 + own).
     """
 
     places: tuple[tuple[int, ...], ...]
@@ -135,7 +137,7 @@ class Coordinates:
 
     @classmethod
     def of(cls, result: FitResult) -> Self:
-        """The coordinates of a fit, and what was known of them before."""
+        """Return the coordinates of a fit and their priors."""
         paths = list(result.free)
         layout = layout_of(result.runs, paths, result.config.get("groups", {}))
         order = [
@@ -153,7 +155,7 @@ class Coordinates:
         priors = checked_priors(result.config.get("priors", {}))
 
         def rows(named: Sequence[tuple[str, float]]) -> Array:
-            """Rows of the priors of some coordinates, by their paths and values."""
+            """Return the rows of the priors of some coordinates, given their paths and values."""
             known = []
             for column, (path, value) in enumerate(named):
                 if (prior := prior_of(priors, path)) is not None:
@@ -184,10 +186,10 @@ class Coordinates:
         )
 
     def split(self, run: int, columns: Array, own: Array) -> tuple[Array, Array]:
-        """Columns of the free parameters by the shared coordinates, and by those of a run.
+        """Split columns of the free parameters into shared coordinates and coordinates of a run.
 
-        All have the shape (sample, channel, column). The latter go before its `own`, by what is
-        free in each run by its nature.
+        All arrays have the shape (sample, channel, column). The columns of the run come before its
+        `own` columns, which belong to its initial state.
         """
         places = np.asarray(self.places[run], dtype=int)
         shared = np.zeros((*columns.shape[:2], len(self.shared)))
@@ -201,28 +203,29 @@ class Coordinates:
 
     @property
     def squares(self) -> float:
-        """What the priors add to chi-square: each counts as a measurement."""
+        """Contribution of the priors to chi-square; each prior counts as a measurement."""
         rows = [self.known, *self.known_of_runs]
         return float(sum(np.sum(each[:, 0] ** 2) for each in rows))
 
 
-# Columns of a fit that add less than this to the span of the others, relative to their size.
+# Relative tolerance for the rank of the columns of a fit.
 _RANK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
 class Table:
-    """One run, weighted: every row is divided by its noise; what was not measured is 0.
+    """Weighted data of one run: each row is divided by its noise; cells without a value are 0.
 
     Attributes:
-        residual: predicted less recorded, shape (sample, channel).
-        measured: which cells count, same shape.
+        residual: predicted minus recorded values, shape (sample, channel).
+        measured: mask of the cells that are used, same shape.
         fitted: columns of the fitted parameters, shape (sample, channel, parameter).
-        own: columns of what is free in this run alone, shape (sample, channel, own).
+        own: columns of the parameters that are free in this run alone, shape (sample, channel,
+            own).
         asked: columns to be tested, shape (sample, channel, test).
-        timed: whether the samples follow each other in time.
-        known: rows of the residual that are priors of what is free in this run alone, and their
-            derivatives by it, shape (prior, 1 + own).
+        timed: whether the samples are a time series.
+        known: rows of the residual for priors of the parameters that are free in this run alone,
+            and their derivatives, shape (prior, 1 + own).
     """
 
     residual: np.ndarray
@@ -236,17 +239,19 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Projected:
-    """Residuals and tested columns without what the fit can imitate.
+    """Residuals and tested columns without the part that the fitted parameters can reproduce.
 
     Attributes:
-        residual: shape (row,), a cell each, run by run, and the priors; of columns, (row, test).
-        norms: of the columns before the projection, shape (test,).
-        parameters: number of fitted ones, those of single runs included.
-        lost: degrees of freedom that they take from the measured values: their number, less what
-            their priors know of them.
-        series: of each run and channel: positions of its cells in the row of values, -1 where
-            nothing was measured; one that is not timed has only those that were.
-        known: positions of the rows that are priors.
+        residual: residuals of all cells, run by run, and of the priors, shape (row,).
+        columns: tested columns, shape (row, test).
+        norms: norms of the columns before the projection, shape (test,).
+        parameters: number of fitted parameters, including those of single runs.
+        lost: degrees of freedom that the parameters take from the measured values: their number
+            minus the information from their priors.
+        series: for each run and channel, the indices of its cells among the rows; -1 where nothing
+            was measured. A series that is not timed contains only measured cells.
+        timed: whether each series is a time series.
+        known: indices of the rows that are priors.
     """
 
     residual: Array
@@ -270,12 +275,13 @@ class Projected:
 
 
 def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Projected:
-    """Residuals and tested columns of all runs, without what the fit can imitate.
+    """Project residuals and tested columns of all runs orthogonally to the fitted parameters.
 
-    What is free in one run alone is taken out of that run first (Frisch, Waugh and Lovell), so
-    that no matrix with the parameters of all runs is ever made. A prior is one more row of the
-    residual, to which no tested column responds: what is known of a fitted parameter keeps it from
-    imitating what is tested. Those of what all runs share are `known`, shape (prior, 1 + fitted).
+    Parameters that are free in one run alone are first eliminated from that run (Frisch, Waugh and
+    Lovell), so no matrix with the parameters of all runs is required. A prior is one more row of
+    the residual, to which no tested column responds. It limits how well a fitted parameter can
+    reproduce a tested column. `known` contains the priors of the parameters that all runs share,
+    shape (prior, 1 + fitted).
     """
     parts, series, timed, priors = [], [], [], []
     first, own, norms, lost = 0, 0, 0.0, 0.0
@@ -306,7 +312,8 @@ def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Proje
     basis = basis_of(whole[:, 1 : 1 + count])
     of_priors = np.concatenate(priors)
     rest = np.concatenate([whole[:, :1], whole[:, 1 + count :]], axis=1)
-    # Twice: what is nearly imitated has lost most of its digits.
+    # The projection is repeated because a column that is nearly in the span loses most of its
+    # significant digits.
     for _ in range(2):
         rest = rest - basis @ (basis.T @ rest)
     return Projected(
@@ -322,12 +329,12 @@ def projected(tables: Sequence[Table], known: np.ndarray | None = None) -> Proje
 
 
 def _rows(first: np.ndarray, columns: int) -> np.ndarray:
-    """Rows with zeros behind their first columns."""
+    """Append zero columns to rows."""
     return np.pad(first, ((0, 0), (0, columns - first.shape[1])))
 
 
 def basis_of(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of the span of columns, shape (row, rank)."""
+    """Return an orthonormal basis of the span of columns, shape (row, rank)."""
     norms = np.linalg.norm(columns, axis=0)
     kept = columns[:, norms > 0] / norms[norms > 0]
     if kept.shape[1] == 0:
@@ -337,7 +344,7 @@ def basis_of(columns: np.ndarray) -> np.ndarray:
 
 
 def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float]]:
-    """Standard deviations (SI) that each run was weighted with, by channel."""
+    """Return the standard deviations (SI) with which each run was weighted, by channel."""
     return [
         {
             name: float(run.channels[name].to_si(channel.noise))
@@ -350,7 +357,7 @@ def fitted_noise(result: FitResult, runs: Sequence[Run]) -> list[dict[str, float
 def white_noise(
     result: FitResult, runs: Sequence[Run], at: Sequence[Response]
 ) -> list[dict[str, float]]:
-    """Standard deviations (SI) of white noise by channel, as `giajax.noise.white_deviation`."""
+    """Return the standard deviations (SI) of white noise, by channel, from `white_deviation`."""
     deviations = []
     for run, response, weighted in zip(runs, at, fitted_noise(result, runs), strict=True):
         rest = response.predicted - response.observed
@@ -363,9 +370,10 @@ def white_noise(
 
 
 def cell_factors(result: FitResult, runs: Sequence[Run], at: Sequence[Response]) -> list[Array]:
-    """How the cells of each run count, (sample, channel): by 0 where nothing was measured.
+    """Return the weights of the cells of each run, (sample, channel); 0 without a measurement.
 
-    By one over the white noise of each channel, times the root of the weight of the loss.
+    The weight is the inverse of the white noise of the channel, times the square root of the weight
+    of the loss.
     """
     factors = []
     several = zip(at, white_noise(result, runs, at), fitted_noise(result, runs), strict=True)
@@ -379,7 +387,7 @@ def cell_factors(result: FitResult, runs: Sequence[Run], at: Sequence[Response])
 
 
 def weighted_rest(response: Response, predicted: Array, factor: Array) -> Array:
-    """Predictions less what was observed, weighted; 0 where nothing was."""
+    """Return weighted predictions minus observations; 0 where nothing was observed."""
     rest = np.where(factor > 0, predicted - np.nan_to_num(response.observed), 0.0)
     return np.asarray(rest * factor)
 
@@ -390,7 +398,7 @@ def tables(
     factors: Sequence[Array],
     coordinates: Coordinates,
 ) -> list[Table]:
-    """Weighted residuals and columns of each run, those of the fitted parameters first."""
+    """Return the weighted residuals and columns of each run; fitted parameters come first."""
     weighted = []
     count = len(coordinates.places[0])
     for index, (response, run, factor) in enumerate(zip(at, runs, factors, strict=True)):
@@ -410,18 +418,20 @@ def tables(
     return weighted
 
 
-# A column of which the fit can imitate all but this is not testable: only a ratio shows.
+# A column is not testable if the fitted parameters can reproduce all but this fraction, because
+# only a ratio is identifiable.
 IMITATED = 1e-4
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """The test of one column, or of several together.
+    """Result of the test of one column, or of several columns together.
 
     Attributes:
-        step: from the held value, within its bounds, shape (column,), as is its standard error.
-        drop: of the sum of squares.
-        p_value: not corrected for how many tests there are.
+        step: step from the fixed value, within the bounds, shape (column,).
+        error: standard errors of the step, shape (column,).
+        drop: decrease of the sum of squares.
+        p_value: p-value, not corrected for the number of tests.
     """
 
     step: np.ndarray
@@ -433,21 +443,22 @@ class Score:
 def score(
     rest: Projected, tests: Sequence[int], lower: Sequence[float], upper: Sequence[float]
 ) -> Score:
-    """The test of one column, or of several together.
+    """Test one column, or several columns together.
 
-    The p-value is that of the whole step, from the noise that it leaves: white, of the size that
-    was stated or more, and correlated along each channel of a run as its neighbours are. Missing
-    physics is such a correlation itself, which is why the noise is taken after the step.
+    The p-value refers to the whole step. The noise is estimated from the residuals after the step:
+    white noise of at least the stated size, with the correlation of neighbouring samples along each
+    channel of a run. The noise is estimated after the step because a missing effect itself causes
+    correlated residuals.
 
-    The bounds of the step of each are not above and not below 0; one that is 0 makes the test of
-    one column one-sided.
+    The lower bounds of the step must not be above 0 and the upper bounds not below 0. A bound of 0
+    makes the test of a single column one-sided.
     """
     columns = rest.columns[:, list(tests)]
     gram = columns.T @ columns
     gradient = columns.T @ rest.residual
     inverse = np.linalg.pinv(gram, rcond=1e-10, hermitian=True)
     step = np.clip(-inverse @ gradient, lower, upper)
-    # A quadratic function of the step, which ends at the bounds.
+    # The sum of squares is a quadratic function of the step, evaluated at the clipped step.
     drop = max(float(-2 * gradient @ step - step @ gram @ step), 0.0)
     left = rest.residual + columns @ step
     spread, effective = _spread(rest, left, columns, len(tests))
@@ -468,12 +479,13 @@ def score(
 
 
 def scatter(rest: Projected, tests: Sequence[int]) -> Score:
-    """The test of whether some columns scatter: their amounts are normal, of one deviation.
+    """Test whether the amounts of some columns scatter with a common variance.
 
-    U = |Z^T r|^2 of the columns Z is then larger than for none, where it is a sum of chi-squares
-    with the eigenvalues of the covariance of the score (Lin 1997). The step is the one deviation,
-    by the method of moments, and the drop what the best linear unbiased predictions of the amounts
-    take from the sum of squares.
+    The amounts are assumed to be normally distributed. U = |Z^T r|^2 of the columns Z is larger
+    than without such a scatter, for which U is distributed as a sum of chi-square variables
+    weighted with the eigenvalues of the covariance of the score (Lin 1997). The step is the common
+    standard deviation, by the method of moments. The drop is the decrease of the sum of squares due
+    to the best linear unbiased predictions of the amounts.
     """
     columns = rest.columns[:, list(tests)]
     gram, gradient = columns.T @ columns, columns.T @ rest.residual
@@ -482,7 +494,8 @@ def scatter(rest: Projected, tests: Sequence[int]) -> Score:
     statistic = float(gradient @ gradient)
     squares = float(np.sum(gram**2))
     variance = max((statistic - float(np.trace(spread))) / squares, 0.0)
-    # By two moments of U where there is none, and by as many amounts as the columns tell apart.
+    # The error follows from two moments of U if there is no scatter, and otherwise from the number
+    # of amounts that the columns distinguish.
     unsure = float(np.sqrt(2 * np.sum(spread**2))) / squares
     step, told_apart = np.sqrt(variance), float(np.trace(gram)) ** 2 / squares
     amounts = variance * np.linalg.solve(np.eye(len(gram)) + variance * gram, gradient)
@@ -495,9 +508,9 @@ def scatter(rest: Projected, tests: Sequence[int]) -> Score:
 def _spread(
     rest: Projected, left: np.ndarray, columns: np.ndarray, tests: int
 ) -> tuple[np.ndarray, float]:
-    """Covariance of the score under the noise that is left, and its degrees of freedom."""
+    """Return the covariance of the score for the remaining noise, and its degrees of freedom."""
     effective = 0.0
-    # A prior has the deviation that it states, and no neighbour.
+    # A prior has its stated standard deviation and is not correlated with other rows.
     of_priors = columns[rest.known]
     spread = of_priors.T @ of_priors
     share = 1 - (rest.lost + tests) / max(rest.values, 1)
@@ -509,7 +522,7 @@ def _spread(
         variance = max(float(np.sum(noise**2)) / max(share * count, 1.0), 1.0)
         rho = neighbours(noise, measured) if timed else 0.0
         part = np.where(measured[:, None], columns[place], 0.0)
-        # What each value has in common with all that came before it: y[t] = rho (y[t-1] + x[t-1]).
+        # Correlation of each value with all earlier values: y[t] = rho (y[t-1] + x[t-1]).
         bands = np.stack([np.ones(len(part)), np.full(len(part), -rho)])
         before = solve_banded((1, 0), bands, np.pad(rho * part[:-1], ((1, 0), (0, 0))))
         common = part.T @ before
@@ -519,7 +532,7 @@ def _spread(
 
 
 def neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
-    """Correlation of neighbouring samples, not below 0; corrected for its bias (Kendall 1954)."""
+    """Return the correlation of neighbouring samples, at least 0 (bias: Kendall 1954)."""
     pairs = int(np.sum(measured[1:] & measured[:-1]))
     power = float(np.sum(noise**2))
     if pairs < 8 or power == 0:
@@ -529,7 +542,7 @@ def neighbours(noise: np.ndarray, measured: np.ndarray) -> float:
 
 
 def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
-    """Cosine of the largest angle from the span of some columns to that of others."""
+    """Return the cosine of the largest angle between the spans of two sets of columns."""
     if len(one) == len(other) == 1:
         a, b = rest.columns[:, one[0]], rest.columns[:, other[0]]
         return float(abs(a @ b) / (np.linalg.norm(a) * np.linalg.norm(b)))
@@ -538,9 +551,9 @@ def alike(rest: Projected, one: Sequence[int], other: Sequence[int]) -> float:
 
 
 def drop_beyond(rest: Projected, tests: Sequence[int], given: Sequence[int]) -> float:
-    """What some columns take from the sum of squares beyond what others take already.
+    """Return the decrease of the sum of squares by some columns beyond that by others.
 
-    That is lambda^2 (1 - R^2), with R the multiple correlation of a column with the others.
+    It equals lambda^2 (1 - R^2), where R is the multiple correlation of a column with the others.
     """
     before = basis_of(rest.columns[:, list(given)])
     columns = rest.columns[:, list(tests)]
@@ -548,7 +561,8 @@ def drop_beyond(rest: Projected, tests: Sequence[int], given: Sequence[int]) -> 
     return float(np.sum((beyond.T @ rest.residual) ** 2))
 
 
-# Of a cell that a robust loss leaves out: a weight of 0 would be no measurement.
+# Weight of a cell that a robust loss ignores. A weight of 0 would mean that there is no
+# measurement.
 _LEAST_WEIGHT = 1e-12
 
 
@@ -559,10 +573,12 @@ def slopes_of(
     columns: Sequence[int],
     coordinates: Coordinates,
 ) -> np.ndarray:
-    """d(fitted)/d(held), shape (fitted, held); of what not all runs share, the mean.
+    """Return d(fitted)/d(fixed), shape (fitted, fixed).
 
-    The `columns` are positions of what is held among the responses. Where residuals are stationary
-    in what is fitted, d(theta)/dc = -(J^T J)^-1 J^T z, all whitened as the fit weighed them.
+    For parameters that not all runs share, the mean over the runs is returned. `columns` contains
+    the indices of the fixed parameters among the responses. If the sum of squares is stationary
+    with respect to the fitted parameters, d(theta)/dc = -(J^T J)^-1 J^T z, with all columns
+    whitened by the weights of the fit.
     """
     fitted, shared = len(result.free), len(coordinates.shared)
     rows, of_runs = [], []
@@ -571,7 +587,7 @@ def slopes_of(
         several = np.concatenate([common, response.columns[..., list(columns)], own], axis=-1)
         cells = _whitened(result, number, run, response, several)
         cells, own = np.split(cells, [shared + len(columns)], axis=1)
-        # A prior is one more row, to which nothing that is held responds.
+        # A prior is one more row, which does not depend on fixed parameters.
         known = coordinates.known_of_runs[number]
         cells = np.concatenate([cells, np.zeros((len(known), cells.shape[1]))])
         own = np.concatenate([own, known[:, 1:]])
@@ -586,17 +602,21 @@ def slopes_of(
         by_path[index].append(slope)
     for places, of_run in zip(coordinates.places, of_runs, strict=True):
         alone = -(of_run[:, shared:] + of_run[:, :shared] @ common)
-        # The values of the run's own state, which come after, are no parameters of the model.
+        # The values of the initial state of a run, which come last, are not parameters of the
+        # model.
         mine = [index for index, place in enumerate(places) if place < 0]
         for index, slope in zip(mine, alone, strict=False):
             by_path[index].append(slope)
     means = [np.mean(slopes, axis=0) for slopes in by_path]
-    # Of a fit of states alone there are none.
+    # A fit of initial states alone has no slopes.
     return np.reshape(means, (len(means), len(columns)))
 
 
 def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Least squares, shape (column, row); columns may be of very different size, or depend."""
+    """Return the least-squares solution, shape (column, row); columns may be dependent.
+
+    Columns are normalised first because their magnitudes differ.
+    """
     norms = np.linalg.norm(columns, axis=0)
     norms = np.where(norms > 0, norms, 1.0)
     coefficients: np.ndarray = np.linalg.lstsq(columns / norms, rows, rcond=_RANK)[0]
@@ -606,7 +626,7 @@ def _explained(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def _whitened(
     result: FitResult, number: int, run: Run, response: Response, columns: np.ndarray
 ) -> np.ndarray:
-    """Columns (sample, channel, column) over the measured cells, as the fit weighed them."""
+    """Whiten columns (sample, channel, column) of the measured cells with the fit's weights."""
     loss, record = result.loss, result.runs[number]
     parts = []
     for index, name in enumerate(response.channels):
@@ -615,14 +635,16 @@ def _whitened(
         whole, correlated = (float(channel.to_si(one)) for one in (known.noise, known.correlated))
         noise = ChannelNoise.of_cell(whole, correlated, known.correlation_time_s)
         rest = (response.predicted - response.observed)[measured, index] / noise.deviation
-        # The second derivative of the loss: a residual beyond its corner does not pull.
+        # The weight is the second derivative of the loss, because a residual beyond its threshold
+        # exerts no further pull.
         weights = np.maximum(loss.scores(rest).curvature, _LEAST_WEIGHT)
         times = None if run.times is None else run.times[measured]
         parts.append(whitened(noise, times, columns[measured, index], weights))
     return np.concatenate(parts)
 
 
-_FEW = 60  # columns whose noise is worth Kenward and Roger's differences
+# Maximum number of columns for which the correction of Kenward and Roger is computed.
+_FEW = 60
 
 
 def among_memory(
@@ -633,15 +655,17 @@ def among_memory(
     columns: Sequence[Array],
     inward: int = 0,
 ) -> float:
-    """The p-value of some columns together, where noise with a memory may explain them as well.
+    """Return the joint p-value of columns if correlated noise may explain the residuals instead.
 
-    The noise of each channel is estimated again by restricted likelihood, white or correlated, with
-    the columns among what the fit could move: what a memory explains better does not belong to
-    them. Wald's test of generalised least squares has the degrees of freedom of that noise.
+    The noise of each channel is estimated again by restricted maximum likelihood, white or
+    correlated, with the columns among the fitted ones. Residuals that correlated noise explains
+    better are then not attributed to the columns. The p-value is computed by Wald's test of
+    generalised least squares with the degrees of freedom of that noise.
 
     Arguments:
-        columns: of each run, shape (sample, channel, column).
-        inward: the only sign that the step of one column may have; 0 for either.
+        result, runs, at, coordinates: the fit, its runs, their responses, and its coordinates.
+        columns: columns of each run, shape (sample, channel, column).
+        inward: the only permitted sign of the step of a single column; 0 for either.
     """
     fitted, asked = len(result.free), columns[0].shape[-1]
     noise = Noise.of(runs, per_run=bool(result.config.get("noise_per_run")))
@@ -651,7 +675,7 @@ def among_memory(
     begun: dict[str, ChannelNoise] = {}
     for number, (run, response) in enumerate(zip(runs, at, strict=True)):
         common, own = coordinates.split(number, response.columns[..., :fitted], response.own)
-        # Of one run, what is its own is as shared as all else.
+        # With a single run, its own parameters are treated like all others.
         parts = [common, *([own] if alone else []), columns[number]]
         shared, own = np.concatenate(parts, axis=-1), own[..., : 0 if alone else None]
         rest = response.predicted - response.observed
@@ -671,7 +695,7 @@ def among_memory(
         of_runs = [np.zeros((0, 1))]
 
     def squares(rows: Array) -> Array:
-        """X^T X of rows of priors, the columns first and the residual last."""
+        """Return X^T X of rows of priors, with the columns first and the residual last."""
         return np.roll(rows, -1, axis=1).T @ np.roll(rows, -1, axis=1)
 
     prior = squares(np.column_stack([known, np.zeros((len(known), asked))]))
@@ -691,12 +715,12 @@ def among_memory(
     scale = np.outer(*[np.where(norms > 0, norms, 1.0)] * 2)
     covariance = np.linalg.pinv(gram[:-1, :-1] / scale, rcond=1e-12, hermitian=True) / scale
     step, freedom = (covariance @ gram[:-1, -1])[-asked:], np.inf
-    if alone and len(covariance) <= _FEW:  # Several runs know their noise well.
+    if alone and len(covariance) <= _FEW:  # Several runs determine the noise well.
         covariance, degrees_of_freedom = small_sample(found, cells, covariance, stated)
         freedom = float(np.min(degrees_of_freedom[-asked:]))
     inner = np.linalg.pinv(covariance[-asked:, -asked:], rcond=1e-10, hermitian=True)
     p_value = tail(asked, freedom, float(step @ inner @ step) / asked)
     if not inward:
         return p_value
-    # The residual is predicted less recorded: the best change is minus the step.
+    # The residual is predicted minus recorded, so the best change is minus the step.
     return p_value / 2 if -step[0] * inward > 0 else 1.0

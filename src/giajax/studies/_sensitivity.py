@@ -1,4 +1,4 @@
-"""How strongly the channels of a run respond to parameters, and what that is worth to a fit."""
+"""Sensitivity of the channels of a run to parameters, and the resulting Fisher information."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,21 +17,23 @@ from ..runtime.text import InputError
 from ..schema.parameters import elements, replace, switched_on
 from ..simulation import SimulationError
 
-_FLAT = 1e-8  # column-normalised singular values below this are directions that no channel shows
+# Relative eigenvalues of the normalised information below this belong to directions that no channel
+# shows.
+_FLAT = 1e-8
 
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """Derivatives of predicted channels by parameters, along a run.
+    """Derivatives of predicted channels with respect to parameters, along a run.
 
     Attributes:
-        times: s, shape (sample,); None for a static run.
-        channels: what is predicted, without unit (`link06_z`).
-        parameters: scalar parameters by path.
-        units: of the parameters.
-        values: of the parameters at which the derivatives hold, shape (parameter,).
-        predicted: SI, shape (sample, channel).
-        derivatives: SI, shape (parameter, sample, channel).
+        times: times of the samples, s, shape (sample,); None for a static run.
+        channels: names of the predicted channels, without unit (`link06_z`).
+        parameters: paths of the scalar parameters.
+        units: units of the parameters.
+        values: values of the parameters at which the derivatives are evaluated, shape (parameter,).
+        predicted: predictions, SI, shape (sample, channel).
+        derivatives: derivatives of the predictions, SI, shape (parameter, sample, channel).
     """
 
     times: Float[np.ndarray, " sample"] | None
@@ -43,26 +45,27 @@ class Sensitivity:
     derivatives: Float[np.ndarray, "parameter sample channel"]
 
     def bodies(self) -> dict[str, list[int]]:
-        """Positions of the channels of each body (`link06`: its x, y and z), by its name."""
+        """Return the indices of the channels of each body (`link06`: its x, y and z) by name."""
         bodies: dict[str, list[int]] = {}
         for index, name in enumerate(self.channels):
             bodies.setdefault(body_of(name), []).append(index)
         return bodies
 
     def lengths(self) -> tuple[tuple[str, ...], Float[np.ndarray, "parameter sample body"]]:
-        """Names of the bodies, and how far each moves with a parameter: |d position / d p|.
+        """Return the names of the bodies and the norm of each derivative, |d position / d p|.
 
-        Of a body with one channel, the size of that channel's derivative.
+        For a body with one channel, it is the absolute value of that channel's derivative.
         """
         bodies = self.bodies()
         sizes = [np.linalg.norm(self.derivatives[:, :, rows], axis=2) for rows in bodies.values()]
         return tuple(bodies), np.stack(sizes, axis=-1)
 
     def information(self, noise: npt.ArrayLike) -> Float[np.ndarray, "body parameter parameter"]:
-        """Fisher information that each body carries, in 1 over the units of the parameters.
+        """Return the Fisher information of each body, in inverse units of the parameters.
 
-        The sum over its channels and samples of s s^T / noise^2; informations of bodies add. The
-        noise is the standard deviation of white noise, SI: one positive number, or one per channel.
+        It is the sum over the channels and samples of the body of s s^T / noise^2. The information
+        matrices of several bodies add up. `noise` is the standard deviation of white noise, SI: one
+        positive number, or one per channel.
         """
         deviations = np.broadcast_to(np.asarray(noise, dtype=float), (len(self.channels),))
         if not np.all(deviations > 0):
@@ -72,26 +75,26 @@ class Sensitivity:
         return np.stack([np.einsum("itc,jtc->ij", part, part) for part in parts])
 
     def standard_errors(self, noise: npt.ArrayLike) -> Float[np.ndarray, " parameter"]:
-        """Errors to expect of a fit of all these parameters to all these channels (Cramer-Rao).
+        """Return the expected errors if all parameters are fitted to all channels (Cramer-Rao).
 
-        Infinite where only a combination of parameters is determined.
+        An error is infinite if only a combination of parameters is determined.
         """
         return expected_errors(self.information(noise).sum(axis=0))
 
     def errors_by_body(self, noise: npt.ArrayLike) -> Float[np.ndarray, "body parameter"]:
-        """Errors to expect where only one body is recorded and the other parameters are known."""
+        """Return expected errors if one body is recorded and the other parameters are known."""
         alone = np.diagonal(self.information(noise), axis1=1, axis2=2)
         with np.errstate(divide="ignore"):
             return 1 / np.sqrt(alone)
 
 
 def body_of(channel: str) -> str:
-    """What a channel is a component of: `link06` of `link06_z`; itself, if of nothing."""
+    """Return the body of a channel: `link06` for `link06_z`; the channel itself if it has none."""
     return channel[:-2] if Channel.named(channel).component is not None else channel
 
 
 def expected_errors(information: Float[np.ndarray, "parameter parameter"]) -> np.ndarray:
-    """Square roots of the diagonal of the inverse; infinite in directions without information."""
+    """Return the square roots of the diagonal of the inverse; infinite without information."""
     sizes = np.sqrt(np.diag(information))
     errors = np.full(len(sizes), np.inf)
     informed = np.flatnonzero(sizes > 0)
@@ -109,17 +112,17 @@ def expected_errors(information: Float[np.ndarray, "parameter parameter"]) -> np
 def sensitivity(
     model: AbstractModel, run: Run, parameters: Sequence[str], channels: Sequence[str] | None = None
 ) -> Sensitivity:
-    """Derivatives of the channels that a model predicts for a run, all by one vmapped jvp.
+    """Return derivatives of predicted channels with respect to parameters, by a vmapped jvp.
 
     Arguments:
-        model: at the values of interest.
-        run: gives what drives the model, and when it is sampled; what it recorded is not used.
-        parameters: paths; an array stands for each of its elements, and what the model leaves
-            out is switched on at its default.
-        channels: names without unit (`link06_z`); those that the run recorded by default.
+        model: model at the values of interest.
+        run: run that provides the inputs and sampling times; its recorded values are not used.
+        parameters: paths of parameters. An array stands for each of its elements. An omitted part
+            is switched on at its default.
+        channels: names without unit (`link06_z`); defaults to the recorded channels of the run.
 
     Raises:
-        InputError: an unknown parameter or channel, or none.
+        InputError: a parameter or channel is unknown, or none is given.
         SimulationError: the model cannot be evaluated.
 
     Example:

@@ -1,4 +1,4 @@
-"""The starts of a fit: where they begin, in which order, as tasks, and where they ended."""
+"""Starts of a fit: their initial guesses, their order, their execution as tasks, and their ends."""
 
 import dataclasses
 import functools
@@ -42,41 +42,42 @@ from ._refit import end_values, fingerprint
 
 
 def interrupted(result: FitResult, when: str) -> FitResult:
-    """The same result; it is the best so far."""
+    """Return the result, marked as interrupted; it is the best so far."""
     message = f"{result.message}; interrupted {when}"
     return dataclasses.replace(result, status="interrupted", message=message, reason="interrupted")
 
 
 def misfit(result: FitResult) -> float:
-    """Minus the logarithm of the likelihood of a fit, up to a constant."""
+    """Return minus the log-likelihood of a fit, up to a constant."""
     channels = [channel for run in result.runs for channel in run.channels.values()]
     cost = np.inf if result.cost is None else result.cost
     return float(cost + sum(c.n * np.log(c.innovation or c.noise) for c in channels))
 
 
 def end_of(start: Mapping[str, float], result: FitResult) -> Start:
-    """Where a start ended that was fitted."""
+    """Return the record of a start that was fitted."""
     message = None if result.status == "converged" else result.message
     return Start(dict(start), result.status, misfit(result), end_values(result), message)
 
 
 End = tuple[Start, FitResult | None]
-"""Where a start ended, and its result; None of one that failed or was fitted before."""
+"""The end of a start, and its result; None for one that failed or was fitted before."""
 
 One = Callable[[int, Sequence[FitResult], Tell], End | None]
-"""How the start of a number ends, after some results; None where there is no time left for it."""
+"""Fits the start of a number, given earlier results. Returns None if no time is left for it."""
 
 Others = Callable[[Sequence[int], Sequence[FitResult]], list[End]]
-"""How several of them end that are begun."""
+"""Fits the starts of several numbers, given earlier results."""
 
 
 def in_order(
     one: One, others: Others, starts: int, known: Sequence[End], fitted: Sequence[FitResult]
 ) -> list[End]:
-    """How the starts end that are begun, in their order; the first ones may be known.
+    """Return the ends of the starts, in their order; the first ones may be known.
 
-    Those up to the first that converges come one by one: it compiles the programs of the others and
-    chooses their tolerance. On one core or on several, each start then has the same numbers.
+    The starts up to the first that converges run one after the other, because it compiles the
+    programs of the others and chooses their tolerance. The results of each start are therefore the
+    same for any number of cores.
     """
     ended = list(known)
     while len(ended) < starts and not any(start.status == "converged" for start, _ in ended):
@@ -90,7 +91,7 @@ def in_order(
 
 
 def in_threads(one: One, most: int) -> Others:
-    """So many starts at once in this process."""
+    """Fit at most the given number of starts at once in this process."""
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
         jobs = [functools.partial(one, number, earlier) for number in numbers]
@@ -101,25 +102,26 @@ def in_threads(one: One, most: int) -> Others:
 
 
 def interrupts(end: End | None) -> bool:
-    """Whether the other starts are to be stopped, too; those without time see it themselves."""
+    """Return whether the other starts must also stop. Starts without time notice themselves."""
     return end is not None and end[0].status == "interrupted"
 
 
 def with_tolerance_of(setup: Setup, ended: Sequence[FitResult]) -> Setup:
-    """With the tolerance that a fit of the same data chose: it need not be looked for again."""
+    """Use the tolerance chosen by a fit of the same data, so that it is not determined again."""
     for result in ended:
-        # One that did not converge may have made it finer for nothing.
+        # A fit that did not converge may have reduced it unnecessarily.
         if result.status == "converged" and result.integration is not None:
             return dataclasses.replace(setup, suited=result.integration.tolerance)
     return setup
 
 
 def start_values(setup: Setup) -> list[dict[str, float]]:
-    """Start values by path: those of the setup, and others that fill the room around them.
+    """Return the initial guesses by path: the guess of the setup, and others around it.
 
-    The others are a scrambled Sobol sequence, of which more starts have the same first ones. Of a
-    parameter with a prior they are its quantiles, between two bounds of the fit they are evenly
-    spread (their logarithms, if both are positive), and otherwise they are near those of the setup.
+    The others are a scrambled Sobol sequence, so a larger number of starts begins with the same
+    ones. For a parameter with a prior they are quantiles of the prior. Between two bounds of the
+    fit they are evenly spread (in the logarithm if both bounds are positive). Otherwise they are
+    near the values of the setup.
     """
     first = {each.path: float(each.value(setup.model)) for each in setup.parameters}
     count, spread = setup.settings.starts, setup.settings.spread
@@ -137,16 +139,16 @@ def start_values(setup: Setup) -> list[dict[str, float]]:
 
 
 def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> float:
-    """The value of a parameter that is above a share of all of its start values."""
+    """Return the initial guess of a parameter for a coordinate between 0 and 1 (`share`)."""
     declaration, value = parameter.declaration, float(parameter.value(setup.model))
     lower, upper, path = declaration.lower, declaration.upper, parameter.path
     stated = setup.config.get("bounds", {})
     if (prior := prior_of(setup.priors, path)) is not None:
-        # Beyond three deviations there is no start.
+        # No initial guess is more than about three standard deviations from the prior value.
         quantile = prior.centre + prior.spread * float(ndtri(np.clip(share, 1e-3, 1 - 1e-3)))
         value = float(np.exp(quantile)) if prior.logarithmic else quantile
     elif (path in stated or path.partition("[")[0] in stated) and np.isfinite(upper - lower):
-        # Over decades, where each of them is as likely.
+        # Uniform in the logarithm, so that each decade is equally likely.
         value = lower * (upper / lower) ** share if lower > 0 else lower + share * (upper - lower)
     elif lower >= 0:
         value *= (1 + spread) ** (2 * share - 1)
@@ -157,37 +159,37 @@ def _value(setup: Setup, parameter: Parameter, spread: float, share: float) -> f
 
 
 def inside_bounds(setup: Setup, values: Mapping[str, float]) -> dict[str, float]:
-    """Values strictly between the bounds, at which a fit may start."""
+    """Return values strictly between the bounds, from which a fit may start."""
     return {
         each.path: between(values[each.path], each.declaration.lower, each.declaration.upper)
         for each in setup.parameters
     }
 
 
-# What becomes of a start for which there is no time: it is not one that failed.
+# Message of a start for which there was no time. It is not treated as failed.
 _NO_TIME = "the time budget of the fit was exhausted during this start"
 
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """What all starts of a fit have in common: of a `Setup`, which cannot be pickled itself."""
+    """The data that all starts of a fit share, taken from a `Setup`, which cannot be pickled."""
 
     model: AbstractModel
     runs: tuple[Run, ...]
     own: Mapping[str, Mapping[str, float]]
     config: Mapping[str, Any]
     suited: float | None
-    loss: AbstractLoss | None = None  # known where it is unpickled, as the model is
+    loss: AbstractLoss | None = None  # unpickling it imports its class, as for the model
 
     @classmethod
     def of(cls, setup: Setup) -> Self:
-        """What a setup asks whose model is where the fit may start."""
+        """Return the data of a setup whose model is at a point where the fit may start."""
         loss = loss_of(setup.config["loss"])
         return cls(setup.model, setup.runs, setup.own, setup.config, setup.suited, loss)
 
     @functools.cached_property
     def task_key(self) -> str:
-        """SHA-256 of what decides where a start ends."""
+        """SHA-256 of all that determines where a start ends."""
         words = json.dumps([self.config, self.own, self.suited], sort_keys=True)
         data = content([self.model, [fingerprint(run) for run in self.runs]])
         said = [self.config[key] for key in ("loss", "solver", "definition")]
@@ -195,7 +197,7 @@ class Asked:
         return hashlib.sha256((words + data + "".join(map(str, others))).encode()).hexdigest()
 
     def setup(self) -> Setup:
-        """The setup again, kept in this process for the tasks to come."""
+        """Return the setup, which is kept in this process for later tasks."""
         return prepared(("setup", self.task_key), self._made)
 
     def _made(self) -> Setup:
@@ -215,10 +217,11 @@ class Asked:
 def one_start(
     asked: Asked, start: Mapping[str, float], most: int, until: float | None = None
 ) -> str:
-    """A task: the result of a fit from one start, as JSON.
+    """Task: fit from one start and return the result as JSON.
 
-    Of at most so many trial steps, until a time, s since the epoch. An InputError where the start
-    cannot be evaluated, or there was no time to fit it to its end.
+    `most` is the maximum number of trial steps and `until` the time at which the budget ends, s
+    since the epoch. An `InputError` is raised if the model cannot be evaluated at the start, or if
+    there was no time to complete the fit.
     """
     budget = None if until is None else Budget(until - time.time())
     if budget is not None and not budget.left() > 0:
@@ -240,10 +243,10 @@ def by_executor(
     progress: Callable[[Iteration], None] | None,
     spent: Callable[[], None],
 ) -> Others:
-    """Starts that the workers of an executor fit, with one budget together.
+    """Fit starts on the workers of an executor, with a common time budget.
 
-    A start is announced, with its steps, once it has ended. `spent` is called where there was no
-    time for one.
+    A start is announced, with its steps, when it has ended. `spent` is called if there was no time
+    for a start.
     """
 
     def others(numbers: Sequence[int], earlier: Sequence[FitResult]) -> list[End]:
@@ -276,7 +279,8 @@ def by_executor(
             if outcome.status == "done":
                 result = _result(setup, outcome.value)
                 ends.append((end_of(start, result), result))
-            # What was done of those behind it has its file, and no end before it is missing.
+            # Completed starts after this one are stored in their files, and no earlier end is
+            # missing.
             elif outcome.status == "stopped":
                 return [*ends, (Start(start, "interrupted"), None)]
             elif outcome.message == _NO_TIME:
@@ -290,7 +294,7 @@ def by_executor(
 
 
 def _result(setup: Setup, text: str) -> FitResult:
-    """A result as a worker returned it; without predictions."""
+    """Return the result from a worker, without predictions."""
     bare = parse_result(text, setup.model)
     model = setup.started_at(end_values(bare)).model
     if bare.integration is not None:
@@ -304,7 +308,7 @@ _LIMITS = ("priors", "bounds", "ties", "groups", "begin", "optimiser")
 
 
 def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
-    """Whether starts can be added to a result; an earlier version chose others, for example."""
+    """Return whether starts can be added to a result; for example, older versions chose others."""
     if before is None:
         return False
     begun = setup.at_start()
@@ -318,16 +322,18 @@ def has_earlier_starts(before: FitResult | None, setup: Setup) -> bool:
 def earlier_starts(
     before: FitResult, setup: Setup, values: Sequence[Mapping[str, float]]
 ) -> list[Start]:
-    """The starts of a result that are the first ones of another fit, and need not be fitted again.
+    """Return the starts of a result that need not be fitted again in a fit from more starts.
 
-    Of the same fit from fewer starts: those before the first that did not come to an end.
+    The result must be from the same fit with fewer starts. The starts before the first one that did
+    not end are returned.
     """
     asked = json.loads(json.dumps(setup.config))
-    # A configuration has no key of what its fit has not.
+    # The configuration of a fit omits keys that the fit does not use.
     asked = {**dict.fromkeys(_LIMITS), **asked}
     if any((before.config.get(key) or None) != (value or None) for key, value in asked.items()):
         raise InputError(
-            "the result to add starts to belongs to another fit: give the same runs and settings"
+            "the result to which starts are added belongs to another fit: give the same runs and "
+            "settings"
         )
     known = before.starts or [end_of(values[0], before)]
     ends = ("converged", "failed")
@@ -337,11 +343,12 @@ def earlier_starts(
             list(start.start.values()), [wanted[path] for path in start.start], rtol=1e-9, atol=0
         ):
             raise InputError(
-                "the result to add starts to has other initial guesses: give the same seed and "
-                "spread"
+                "the result to which starts are added has different initial guesses: give the same "
+                "seed and spread"
             )
     if len(whole) > len(values):
         raise InputError(
-            f"the result to add starts to already has {len(whole)} starts: give a larger number"
+            f"the result to which starts are added already has {len(whole)} starts: give a larger "
+            "number"
         )
     return whole

@@ -1,4 +1,4 @@
-"""Stepwise selection: what the residuals suggest is fitted in turn, from where the last ended."""
+"""Stepwise selection: refit with the effects that the residuals suggest, one at a time."""
 
 import abc
 import contextlib
@@ -31,16 +31,17 @@ class Step:
     """One fit of a stepwise selection.
 
     Attributes:
-        suspect: what was added to the fit before; None for the first.
-        removed: whether it was taken out again: with what came later, it is not significant.
-        chi_square: sum of what the loss makes of residuals in units of white noise, the same for
-            all steps, and of the squares of the priors.
+        suspect: effect that was added to the previous fit; None for the first fit.
+        chi_square: sum of the loss of the residuals divided by the white noise, which is the same
+            for all steps, plus the squares of the priors.
         parameters: number of fitted parameters.
         values: number of measured values.
-        held_out: root mean square error of the runs that were held out, in units of their noise
-            or, where none is stated, of the white noise of the fitted ones; None without any.
-        result: the fit.
-        suspects: what its residuals suggest; None where that was not asked.
+        held_out: root mean square error of the held-out runs, divided by their noise or, if none is
+            stated, by the white noise of the fitted runs; None without held-out runs.
+        result: result of the fit.
+        suspects: effects that the residuals of the fit suggest; None if they were not tested.
+        removed: whether the suspect was removed again because it is not significant together with
+            later ones.
     """
 
     suspect: Suspect | None
@@ -54,7 +55,7 @@ class Step:
 
     @property
     def change(self) -> str:
-        """What was changed: a path, `without` one, or nothing for the first."""
+        """The change: a path, `without` a path, or "-" for the first fit."""
         if self.suspect is None:
             return "-"
         if self.suspect.kind == "prior":
@@ -63,22 +64,22 @@ class Step:
 
     @property
     def aic(self) -> float:
-        """Akaike's criterion, with known noise: chi-square + 2 k."""
+        """Akaike's information criterion with known noise: chi-square + 2 k."""
         return self.chi_square + 2 * self.parameters
 
     @property
     def bic(self) -> float:
-        """Schwarz' criterion, with known noise: chi-square + k log n."""
+        """Schwarz's (Bayesian) information criterion with known noise: chi-square + k log n."""
         return self.chi_square + self.parameters * float(np.log(self.values))
 
 
 @dataclasses.dataclass(frozen=True)
 class StepwiseSelection:
-    """The fits, from the first to the last that was better, and why there is no other.
+    """The accepted fits of a selection, and the reason why it ended.
 
     Attributes:
-        steps: the first is the fit that was asked about.
-        ending: one sentence.
+        steps: accepted fits; the first is the initial fit.
+        ending: one sentence on the reason.
     """
 
     steps: tuple[Step, ...]
@@ -86,12 +87,12 @@ class StepwiseSelection:
 
     @property
     def result(self) -> FitResult:
-        """The last fit."""
+        """Result of the last fit."""
         return self.steps[-1].result
 
     @property
     def rungs(self) -> tuple[Step, ...]:
-        """The steps by their earlier name."""
+        """The steps, under their earlier name."""
         warn_of_name("StepwiseSelection.rungs", "steps")
         return self.steps
 
@@ -102,14 +103,20 @@ Noise = Sequence[Mapping[str, float]]
 
 @dataclasses.dataclass(frozen=True)
 class Measured:
-    """A fit and what it leaves over, to be compared with others under the same noise.
+    """A fit and its residuals, for a comparison with other fits under the same noise.
 
-    Minus twice the logarithm of the likelihood is, up to a constant, the sum of what the loss
-    makes of each residual over its noise, which must be that of all fits that are compared: what
-    each fit would take for noise, or for an outlier, is larger where it describes less.
+    Minus twice the log-likelihood is, up to a constant, the sum of the loss of each residual
+    divided by its noise. This noise must be the same for all compared fits, because a fit that
+    describes less of the data attributes more of it to noise or outliers.
 
-    It has what the fit predicts for each run (`at`), white noise as stated or as its residuals show
-    it, and of each channel that was held out (`apart`) the name, the noise stated, and the errors.
+    Attributes:
+        suspect: effect that was added or removed; None for the first fit.
+        removed: whether the effect was removed.
+        result: result of the fit.
+        at: predictions of the fit for each run.
+        noise: white noise, as stated or as estimated from the residuals.
+        coordinates: coordinates of the fit.
+        apart: name, stated noise and errors of each held-out channel.
     """
 
     suspect: Suspect | None
@@ -130,7 +137,7 @@ class Measured:
         *,
         removed: bool = False,
     ) -> Self:
-        """A fit of some runs, and what it makes of those that were held out."""
+        """Evaluate a fit on its runs and on the held-out runs."""
         at = responses_of(result, runs, result.model)
         noise = white_noise(result, runs, at)
         errors = []
@@ -141,7 +148,7 @@ class Measured:
         return cls(suspect, removed, result, at, noise, Coordinates.of(result), errors)
 
     def step(self, noise: Noise) -> Step:
-        """The fit under a noise that may be another one's."""
+        """Return the fit as a step, under a noise that may have been estimated by another fit."""
         chi_square, values = self.coordinates.squares, 0
         loss = self.result.loss
         for response, deviations in zip(self.at, noise, strict=True):
@@ -152,7 +159,8 @@ class Measured:
             values += len(rest)
         squares = []
         for name, stated, rest in self.apart:
-            # Where none is stated, that of a fitted run with the channel, else the first one's.
+            # Without a stated noise, the noise of a fitted run with this channel is used, otherwise
+            # the noise of the first run.
             nearest = next((of_run for of_run in noise if name in of_run), noise[0])
             squares.append((rest / (stated or _deviation(nearest, name))) ** 2)
         return Step(
@@ -167,7 +175,7 @@ class Measured:
 
 
 def _deviation(deviations: Mapping[str, float], name: str) -> float:
-    """That of a channel; of one that had another name, or was not fitted, the mean of its kind."""
+    """Return the noise of a channel; for a channel with another name, the mean over its kind."""
     if known := deviations.get(name):
         return known
     kind = name.rpartition("_")[0]
@@ -177,9 +185,13 @@ def _deviation(deviations: Mapping[str, float], name: str) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """A fit to be made again: what of it is changed, as of `refit`, and the runs as it sees them.
+    """Changes for a refit, as for `refit`, and the runs after a correction of their columns.
 
-    Its name is told. `apart` are those held out as it sees them.
+    Attributes:
+        name: name that is reported.
+        runs: runs to be fitted.
+        changed: changed arguments of `refit`.
+        apart: held-out runs, with the same corrections.
     """
 
     name: str
@@ -189,27 +201,27 @@ class Change:
 
 
 class AbstractFits(abc.ABC):
-    """What a selection computes, by names that are told and, of a journal, kept."""
+    """Computations of a selection, under names that are reported and stored in a journal."""
 
     @abc.abstractmethod
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
-        """What the residuals of a fit suggest."""
+        """Return the effects that the residuals of a fit suggest."""
 
     @abc.abstractmethod
     def refits(
         self, result: FitResult, changes: Sequence[Change]
     ) -> Sequence[FitResult | InputError]:
-        """Fits again, side by side, or why one cannot be; white noise is the same for all.
+        """Return refits, computed in parallel with white noise, or the reason why one failed.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C came before all of them had ended.
+            KeyboardInterrupt: Ctrl-C was pressed before all of them had ended.
         """
 
     def refit(self, name: str, result: FitResult, runs: Sequence[Run], **changed: Any) -> FitResult:
-        """The one fit of a change.
+        """Return the refit of one change.
 
         Raises:
-            InputError: it cannot be evaluated so.
+            InputError: the changed model cannot be evaluated.
         """
         (found,) = self.refits(result, [Change(name, runs, changed)])
         if isinstance(found, InputError):
@@ -217,22 +229,22 @@ class AbstractFits(abc.ABC):
         return found
 
     def measured(self, *of: Any, removed: bool = False) -> Measured:
-        """What a fit leaves over, as `Measured.of`."""
+        """Evaluate a fit, as `Measured.of` does."""
         return Measured.of(*of, removed=removed)
 
 
 class Fits(AbstractFits):
-    """Each of them computed when it is asked for."""
+    """Computations without a journal."""
 
     def suspects(self, result: FitResult, runs: Sequence[Run]) -> Suspects:
-        """As of `suspects`."""
+        """Return the suspects, as from `giajax.suspects`."""
         forget_programs_if_many()
         return suspects(result, runs)
 
     def refits(
         self, result: FitResult, changes: Sequence[Change]
     ) -> Sequence[FitResult | InputError]:
-        """As of `refit`."""
+        """Return the refits, as from `refit`."""
         ended, stopped = side_by_side(result, changes)
         if stopped:
             raise KeyboardInterrupt
@@ -242,10 +254,10 @@ class Fits(AbstractFits):
 def side_by_side(
     result: FitResult, changes: Sequence[Change], budget: Budget | None = None, **limits: Any
 ) -> tuple[list[FitResult | InputError], bool]:
-    """Fits again on as many cores as there are, with white noise, and whether Ctrl-C came.
+    """Refit with white noise on all cores; also return whether Ctrl-C was pressed.
 
-    They are those that came to their end, or why one cannot be, before the first that did not: for
-    that the budget was used up, or it was stopped.
+    The list ends before the first refit that did not finish, because the time budget was exhausted
+    or it was stopped. It contains the reason of a refit that failed.
     """
     forget_programs_if_many()
     stop = threading.Event()
@@ -254,12 +266,12 @@ def side_by_side(
         asked = {"progress": functools.partial(tell, stop_if_asked), "budget": budget, **limits}
         found = None
         try:
-            # The other one may have taken all of the time, if there is one core.
+            # On a single core, the preceding refit may have used up the time.
             if budget is None or budget.left() > 0:
                 found = refit(
                     result, change.runs, **{"noise_model": "white", **asked, **change.changed}
                 )
-            tell(stop_if_asked)  # Ctrl-C may have come meanwhile.
+            tell(stop_if_asked)  # Ctrl-C may have been pressed meanwhile.
         except InputError as error:
             return error
         except KeyboardInterrupt:
@@ -277,7 +289,7 @@ def side_by_side(
 
 
 Tried = tuple[Measured, list[Run], list[Run]]
-"""A fit, and the runs and those held out as it sees them."""
+"""A fit with its runs and its held-out runs."""
 
 
 def tried_steps(
@@ -289,9 +301,10 @@ def tried_steps(
     fits: AbstractFits,
     last: Measured | None = None,
 ) -> list[Tried]:
-    """The fits of the first so many suspects that can be fitted, each by itself.
+    """Return separate fits of the first suspects, `tries` in number, that can be fitted.
 
-    With the `last` fit that was taken, none whose test promises far less than another has brought.
+    If `last`, the last accepted fit, is given, suspects whose test promises far less than another
+    fit has gained are skipped.
     """
     made: list[Tried] = []
     gained = 0.0
@@ -299,7 +312,7 @@ def tried_steps(
     def promised() -> Iterator[tuple[Suspect, Change]]:
         for suspect in promising:
             if is_one(result.model, suspect) and _FAR * (suspect.chi_square_drop or 0.0) >= gained:
-                with contextlib.suppress(InputError):  # It cannot be freed; the next one may be.
+                with contextlib.suppress(InputError):  # A suspect that cannot be freed is skipped.
                     yield suspect, _freeing(result, runs, apart, suspect)
 
     following = promised()
@@ -310,7 +323,7 @@ def tried_steps(
                 continue
             try:
                 one = fits.measured(fitted, change.runs, change.apart, suspect)
-            except InputError:  # Nor can it be evaluated.
+            except InputError:  # A fit that cannot be evaluated is skipped.
                 continue
             made.append((one, list(change.runs), list(change.apart)))
             if last is not None:
@@ -318,15 +331,15 @@ def tried_steps(
     return made
 
 
-# So that what is tried does not depend on the machine, on one core as on many.
+# A fixed number, so that the tried suspects do not depend on the number of cores.
 _SIDE_BY_SIDE = 2
 
-# A fit takes more of chi-square than its test promises, but hardly so many times as much.
+# A fit lowers chi-square more than its test promises, but rarely by more than this factor.
 _FAR = 3.0
 
 
 def best_of(made: Sequence[Tried]) -> Tried:
-    """The one of the lowest BIC."""
+    """Return the fit with the lowest BIC."""
     noise = max((fit for fit, _, _ in made), key=lambda fit: fit.coordinates.size).noise
     return min(made, key=lambda one: one[0].step(noise).bic)
 
@@ -338,18 +351,18 @@ def best_step(
     promising: Sequence[Suspect],
     tries: int,
 ) -> Tried | None:
-    """Of the first so many suspects that can be fitted, the fit of the lowest BIC, or None."""
+    """Return the fit with the lowest BIC among the first suspects that can be fitted, or None."""
     made = tried_steps(result, runs, apart, promising, tries, Fits())
     return best_of(made) if made else None
 
 
 def is_one(model: AbstractModel, suspect: Suspect) -> bool:
-    """Whether a suspect is what a fit can free as it was tested."""
+    """Return whether a fit can free a suspect in the same form as it was tested."""
     if suspect.kind in ("switch", "axes", "columns", "prior", "scatter"):
         return bool(suspect.testable)
     try:
         parts = elements(_neutrally(model, suspect.path), suspect.path)
-    except InputError:  # It is of another choice than this model's.
+    except InputError:  # It belongs to another choice of the model.
         return False
     return suspect.kind != "factor" and len(parts) == suspect.degrees_of_freedom
 
@@ -357,7 +370,7 @@ def is_one(model: AbstractModel, suspect: Suspect) -> bool:
 def _freeing(
     result: FitResult, runs: Sequence[Run], apart: Sequence[Run], suspect: Suspect
 ) -> Change:
-    """The change of a fit that a suspect suggests."""
+    """Return the change of a fit that a suspect suggests."""
 
     def change(**changed: Any) -> Change:
         return Change(suspect.path, runs, changed, apart)
@@ -376,7 +389,7 @@ def _freeing(
         return Change(suspect.path, right, {"start": result.history[0].parameters}, judges)
     model = _neutrally(result.model, suspect.path)
     if suspect.kind == "scatter":
-        # Each element for itself, held together by how far they scatter.
+        # Each element is free, with a prior whose standard deviation is the estimated scatter.
         model = in_full(model, declared(model)[suspect.path])
         size = float(np.max(np.asarray(suspect.estimate)))
         known = {each.path: float(each.value(model)) for each in elements(model, suspect.path)}
@@ -388,9 +401,10 @@ def _freeing(
 
 
 def _switched_on(result: FitResult, other: AbstractModel, suspect: Suspect) -> list[str]:
-    """What a switch frees: the number that switches a part on, and what is a guess of that part.
+    """Return the parameters that a choice frees: the one that enables a part, and its guesses.
 
-    A guess that was held would let others make up for it. What the fit says of one is kept.
+    If a guessed parameter remained fixed, other parameters could compensate for its error.
+    Parameters that are specified in the fit are not changed.
     """
     by = suspect.path.partition(" = ")[0]
     if by not in declared(other):
@@ -401,9 +415,10 @@ def _switched_on(result: FitResult, other: AbstractModel, suspect: Suspect) -> l
 
 
 def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
-    """The model with a part on that it leaves out, which changes nothing yet.
+    """Return the model with an omitted part switched on at its neutral value.
 
-    What has one number for all elements has one for each where a path is of an element.
+    If the path refers to an element, a parameter with one value for all elements is replaced by one
+    value for each.
     """
     name, _, element = path.partition("[")
     absent = left_out(model).get(name)
@@ -414,12 +429,13 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
 
 
 MOST = 6
-"""Steps of a selection."""
+"""Default limit on the steps of a selection."""
 
 TRIES = 3
-"""Suspects that are fitted at each of them."""
+"""Default number of suspects that are fitted at each step."""
 
-_NEAR = 4.0  # Standard errors. BIC decides; what is further away need not be tried
+# Distance, in standard errors, up to which fixing a parameter again is tried. BIC then decides.
+_NEAR = 4.0
 
 
 def ladder(
@@ -431,38 +447,38 @@ def ladder(
     tries: int = TRIES,
     progress: Callable[[Step], None] | None = None,
 ) -> StepwiseSelection:
-    """Fit the most promising suspect, ask again, and so on.
+    """Fit the most promising suspect, test the residuals again, and repeat.
 
-    A parameter is freed, a choice of the model is made the other way (what of a part is a guess is
-    freed with what switches it on), and recorded axes are exchanged; each fit begins where the last
-    one ended, or began, if its suspects are of there.
-    What was freed before and has come back to the value that it was held at is held again, and of a
-    drive that was freed alone it is asked whether all are as that one. It ends
-    where no suspect is significant, or where what is tried makes BIC larger. A suspect that is one
-    number for many elements (the mass of all links) is not a single parameter of a fit, and is
-    passed over.
+    A step frees a parameter, changes a choice of the model (guessed parameters of a part are freed
+    when the part is switched on) or exchanges recorded axes. Each fit starts from the end of the
+    last fit, or from its initial guess if the suspects were tested there. A parameter that was
+    freed before and has returned to its fixed value is fixed again. If a single drive was freed, a
+    model in which all drives have the same value is also tested. The selection ends when no suspect
+    is significant, or when the tried fits increase BIC. A suspect that is one value for many
+    elements (for example the mass of all links) is not a single parameter of a fit and is skipped.
 
-    What a test promises is the first step of a fit. So many of the first suspects as `tries` says
-    are fitted at each step, each by itself, and the one whose fit has the lowest BIC is taken; with
-    1 the step takes a fraction of the time, and trusts the test.
+    The decrease of chi-square promised by a test is the decrease in the first step of a fit.
+    Therefore the first `tries` suspects are fitted separately in each step, and the fit with the
+    lowest BIC is accepted. With 1, a step takes a fraction of the time and relies on the test.
 
-    All fits are made and compared by one likelihood: that of the loss of the fit, with white noise
-    that is the same for both. Correlated noise would take what is missing for noise, each fit
-    as much as it leaves over. The white noise is what the runs state, or else what second
-    differences of the residuals show, those of the fit with more in it; and where the samples do
-    not follow each other, what that fit took for noise. The table that comes out has the noise of
-    its last row, which is fitted once more with correlated noise if the first fit had looked for
-    it: its parameters and errors are those of that fit.
+    All fits are compared under one likelihood: the loss of the fit, with the same white noise for
+    both. Correlated noise would absorb a missing effect, to a different extent in each fit. The
+    white noise is the stated noise of the runs. If none is stated, it is estimated from second
+    differences of the residuals of the fit with more parameters, or, if the samples are not a time
+    series, taken from the estimate of that fit. The steps are returned with the noise of the last
+    one. If the first fit used correlated noise, the last fit is repeated with correlated noise, and
+    its parameters and errors are reported.
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
-        held_out: further runs, or what was held out of the fitted ones; no step is fitted to it.
-        most: how many steps.
-        tries: how many suspects are fitted at each step, 1 at least.
-        progress: called with each step as soon as it is there.
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
+        held_out: further runs, or held-out parts of the fitted runs; no step is fitted to them.
+        most: maximum number of steps.
+        tries: number of suspects that are fitted at each step, at least 1.
+        progress: function that is called with each step when it is complete.
 
     Raises:
-        InputError: as `giajax.suspects`, or `tries` is below 1.
+        InputError: as for `giajax.suspects`, or `tries` is below 1.
     """
     if tries < 1:
         raise InputError(f"the number of suspects to try at each step is {tries}: give at least 1")
@@ -482,10 +498,17 @@ def ladder(
 
 @dataclasses.dataclass
 class Climb:
-    """A selection under way: the runs as its last fit sees them, and what was fitted so far.
+    """State of a selection: the runs used by its last fit, and the fits so far.
 
-    Each of the fits that were `taken` has beside it what its residuals suggest, once that is
-    `asked`; `passed` are those that were tried and not taken.
+    Attributes:
+        runs: runs of the last fit.
+        apart: held-out runs.
+        fits: computations, with or without a journal.
+        progress: function that is called with each accepted step.
+        taken: accepted fits.
+        asked: suspects of each accepted fit; None if they were not tested.
+        passed: fits that were tried but not accepted.
+        ending: one sentence on the reason why the selection ended.
     """
 
     runs: list[Run]
@@ -499,11 +522,11 @@ class Climb:
 
     @property
     def last(self) -> Measured:
-        """Where it is."""
+        """The last accepted fit."""
         return self.taken[-1]
 
     def take(self, fit: Measured) -> None:
-        """One more fit is taken."""
+        """Accept a fit."""
         self.taken.append(fit)
         self.asked.append(None)
         if self.progress is not None:
@@ -516,11 +539,12 @@ class Climb:
         best: Callable[[Sequence[Tried]], Tried] = best_of,
         begin: tuple[FitResult, Sequence[Run]] | None = None,
     ) -> bool:
-        """Ask, fit, take the best and drop what it makes superfluous; whether this is the end.
+        """Perform one step of the selection; return whether the selection ended.
 
-        What is fitted is the first of the significant suspects, or of what is `chosen`, from where
-        the last fit ended, or where another of the same parameters, of its own runs, did; from
-        where it began, if the suspects are of there.
+        The best fit is accepted, and parameters that it makes superfluous are removed. The suspects
+        to be fitted are the first significant ones, or those returned by `chosen`. The fits start
+        from the end of the last fit, or from the end of the fit in `begin`, which has the same
+        parameters. If the suspects were tested at the initial guess, the fits start there.
         """
         result, runs = begin or (self.last.result, self.runs)
         self.asked[-1] = found = self.fits.suspects(result, runs)
@@ -530,7 +554,7 @@ class Climb:
         if not made:
             self.ending = "no suspect that could be freed is significant"
             return True
-        # Each time with the noise that the fit with more in it shows.
+        # Each comparison uses the noise of the fit with more parameters.
         for one in (best(made), best_of(made)):
             noise = one[0].noise
             if lower := one[0].step(noise).bic < self.last.step(noise).bic:
@@ -552,11 +576,11 @@ class Climb:
     def _take_if_better(
         self, name: str, suspect: Suspect, *, removed: bool = False, **changed: Any
     ) -> None:
-        """Fit the last model with something changed, and take that if BIC is lower."""
+        """Fit the last model with a change, and accept the fit if its BIC is lower."""
         try:
             again = self.fits.refit(name, self.last.result, self.runs, **changed)
             other = self.fits.measured(again, self.runs, self.apart, suspect, removed=removed)
-        except InputError:  # It cannot be fitted so.
+        except InputError:  # The changed model cannot be fitted.
             return
         noise = self.last.noise
         if other.step(noise).bic < self.last.step(noise).bic:
@@ -565,7 +589,7 @@ class Climb:
             self.passed.append(other)
 
     def steps(self) -> list[Step]:
-        """What was taken, with the white noise of the last."""
+        """Return the accepted steps, with the white noise of the last one."""
         return [
             dataclasses.replace(fit.step(self.last.noise), suspects=found)
             for fit, found in zip(self.taken, self.asked, strict=True)
@@ -573,7 +597,7 @@ class Climb:
 
 
 def as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> FitResult:
-    """The last fit, with the noise that the first one was asked for with."""
+    """Return the last fit, repeated with the noise model requested for the first one."""
     if len(steps) == 1:
         return result
     model, last = result.config.get("noise_model", "correlated"), steps[-1].result
@@ -581,13 +605,13 @@ def as_asked(result: FitResult, steps: Sequence[Step], runs: Sequence[Run]) -> F
         return last
     try:
         again = refit(last, runs, noise_model=model)
-    except InputError:  # It cannot be evaluated a little inside of its bounds.
+    except InputError:  # It cannot be evaluated just inside its bounds.
         return last
     return again if again.status == "converged" else last
 
 
 def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
-    """What was freed before the last step, and is near the value that it was held at again."""
+    """Return the suspects freed before the last step that are near their fixed value again."""
     last = steps[-1].result.free
     taken = {step.suspect.path for step in steps if step.removed and step.suspect is not None}
     spare = []
@@ -596,7 +620,7 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
         if suspect is None or suspect.path in taken:
             continue
         if suspect.kind == "scatter":
-            # As they were, or as if they were not there.
+            # The elements are fixed at their earlier values, or at their neutral values.
             whole = get(_neutrally(before.result.model, suspect.path), suspect.path)
             held = np.ravel(np.asarray(whole)).tolist()
             suspect = dataclasses.replace(suspect, value=held if len(held) > 1 else held[0])
@@ -604,7 +628,7 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
             continue
         paths = [p for p in last if suspect.path in (p, p.partition("[")[0])]
         values = np.ravel(np.asarray(suspect.value, dtype=float))
-        if len(values) not in (1, len(paths)):  # Some are held, or follow others, since.
+        if len(values) not in (1, len(paths)):  # Some elements have been fixed or tied since.
             continue
         values = np.broadcast_to(values, (len(paths),))
         if paths and all(
@@ -616,10 +640,10 @@ def _spare(steps: Sequence[Step | Measured]) -> list[Suspect]:
 
 
 def _standing_for_all(steps: Sequence[Step | Measured]) -> list[Suspect]:
-    """Elements freed one by one, such as a drive that seemed to be weak: all may be as that one.
+    """Return suspects that tie all elements to a single freed element, such as a weak drive.
 
-    While something else is missing, the one that moves most of the arm may look as if it were
-    alone.
+    While another effect is missing, the element that moves most of the arm may appear to be the
+    only one that is affected.
     """
     last = steps[-1].result
     single = capabilities.one_by_one(last.model)

@@ -1,4 +1,4 @@
-"""Suspects: a test of everything that a fit held, switched off or left out."""
+"""Suspects: tests of all fixed parameters, disabled choices and omitted parts of a fitted model."""
 
 import dataclasses
 import functools
@@ -45,20 +45,23 @@ from ._score import (
 )
 
 UNEXPLAINED = "unexplained"
-"""Code of a verdict's reason: no suspect explains the residuals."""
+"""Code of the reason of a verdict if no suspect explains the residuals."""
 
-_EXPLAINED = 1.1  # times the noise, as much as a verdict lets pass
-_SECOND_ORDER = 0.1  # of what the residuals have beyond the noise
+# Ratio of the residuals to the noise that a verdict accepts.
+_EXPLAINED = 1.1
+# Fraction of the excess of chi-square over the noise that is attributed to second-order effects.
+_SECOND_ORDER = 0.1
 
 LEVEL = 0.05
-"""A corrected p-value below this is significant."""
+"""Significance level of corrected p-values."""
 
 
 def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
-    """Of each quantity that is testable its best row, the most promising first, as `rows` are.
+    """Return the best testable row of each quantity, in the order of `rows`.
 
-    The elements of a vector and the whole of it are one quantity; and what the data can hardly
-    tell from a row above is named there, in `alike`, and has no row of its own.
+    The elements of a vector and the whole vector are one quantity. A quantity that the data can
+    hardly distinguish from an earlier one is listed in `alike` of the earlier row and has no row of
+    its own.
     """
     best: dict[str, Suspect] = {}
     covered: set[str] = set()
@@ -71,23 +74,23 @@ def promising(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
 
 
 def significant(rows: Sequence[Suspect]) -> tuple[Suspect, ...]:
-    """Of the rows of a table the promising ones that chance does not explain."""
+    """Return the promising rows of a table that are statistically significant."""
     return tuple(row for row in promising(rows) if (row.p_value or 0.0) < LEVEL)
 
 
 @dataclasses.dataclass(frozen=True)
 class Suspects:
-    """What would lower chi-square, the most first.
+    """Effects that would lower chi-square, the most important first.
 
     Attributes:
-        rows: all tests; those that are testable first, the largest drop of chi-square at the top.
-        chi_square: sum of squared residuals of the fit, in units of white noise; where it cannot
-            be evaluated where it ended, of where it began.
+        rows: all tests; testable ones first, in order of decreasing drop of chi-square.
+        chi_square: sum of squared residuals of the fit, divided by the variance of the white noise;
+            at the initial guess if the model cannot be evaluated at the end of the fit.
         values: number of measured values.
         parameters: number of fitted parameters.
-        asked: how many tests the p-values are corrected for.
-        left_over: how many times the white noise the residuals would be with the best suspects in,
-            to first order.
+        asked: number of tests for which the p-values are corrected.
+        left_over: ratio of the residuals to the white noise if the best suspects are included, to
+            first order.
     """
 
     rows: tuple[Suspect, ...]
@@ -99,48 +102,49 @@ class Suspects:
 
     @property
     def promising(self) -> tuple[Suspect, ...]:
-        """Of each quantity that is testable its best row, the most promising first."""
+        """Best testable row of each quantity, the most promising first."""
         return promising(self.rows)
 
     @property
     def significant(self) -> tuple[Suspect, ...]:
-        """Those of the promising ones that chance does not explain."""
+        """Promising rows that are statistically significant."""
         return significant(self.rows)
 
     @property
     def untestable(self) -> tuple[Suspect, ...]:
-        """What the data cannot tell."""
+        """Rows that the data cannot test."""
         return tuple(row for row in self.rows if not row.testable)
 
     def of(self, path: str) -> Suspect:
-        """The row of a path.
+        """Return the row of a path.
 
         Raises:
-            KeyError: there is none.
+            KeyError: there is no such row.
         """
         return {row.path: row for row in reversed(self.rows)}[path]
 
     def judge(self, result: FitResult) -> Verdict:
-        """The verdict on the fit that was asked, with the first suspect that makes it doubtful.
+        """Return the verdict on the tested fit, with the first suspect that makes it doubtful.
 
-        That is one which chance does not explain, and which moves a fitted parameter by more than
-        one of its standard errors. An inadequate model stays what it is; where none of the suspects
-        explains it, the verdict says so.
+        Such a suspect is significant and shifts a fitted parameter by more than one standard error.
+        An inadequate model remains inadequate. If no suspect explains the misfit, the verdict says
+        so.
         """
         verdict = result.verdict.without("suspect").without(UNEXPLAINED)
         if verdict.status == "inadequate":
-            if self.rows and all(row.begun for row in self.rows):  # They are of another point.
+            # The tests refer to another point.
+            if self.rows and all(row.begun for row in self.rows):
                 return verdict
             before = self.chi_square / max(self.values - self.parameters, 1) - 1
-            # What a step to the first order leaves of something large is none of this.
+            # Residuals that remain after a large first-order step are not considered.
             if self.left_over < _EXPLAINED or self.left_over**2 - 1 < _SECOND_ORDER * before:
                 return verdict
             sentence = (
                 "no fixed or omitted parameter explains the misfit: with the best suspects the "
-                "residuals are "
-                f"still {self.left_over:.3g} times the white noise (see left_over.png)"
+                f"residuals are still {self.left_over:.3g} times the white noise (see "
+                "left_over.png)"
             )
-            # The last one, however sure it is.
+            # This reason is always the last one.
             reason = Reason(UNEXPLAINED, sentence, 0.0, self.left_over)
             return dataclasses.replace(verdict, reasons=(*verdict.reasons, reason))
         for row in self.promising:
@@ -153,17 +157,16 @@ class Suspects:
         return verdict
 
     def to_json(self) -> str:
-        """As JSON: an object with the attributes."""
+        """Return a JSON object with the attributes."""
         return json_text(self)
 
 
 def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
-    """What was held or left out, how large it is, what that moves, and what to do."""
+    """Describe a suspect, its estimate, the shift that it causes, and the remedy."""
     if row.kind == "switch":
         return (
-            f"the choice '{row.path}' lowers chi-square by {row.chi_square_drop:.3g} and "
-            f"changes {path} "
-            f"by {by:+.2g} of its standard errors: use it (giajax suspects lists all "
+            f"the choice '{row.path}' lowers chi-square by {row.chi_square_drop:.3g} and changes "
+            f"{path} by {by:+.2g} times its standard error: use it (giajax suspects lists all "
             "choices)"
         )
     values, errors = (
@@ -181,11 +184,11 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     free = " ".join(f"--free {each}" for each in [*result.asked, row.path])
     return (
         f"{row.path}{also} is {held}, and the residuals suggest {times}{shown}{unit}, which shifts "
-        f"{path} by {by:+.2g} of its standard errors: fit it too, with {free}"
+        f"{path} by {by:+.2g} times its standard error: fit it too, with {free}"
     )
 
 
-# A change by so many times its own size that would still not show makes a parameter not testable.
+# A parameter is not testable if a change by this multiple of its magnitude would not be detectable.
 _NOT_SHOWN = 3.0
 _ALIKE = 0.99
 
@@ -193,9 +196,9 @@ _ALIKE = 0.99
 def parameter_rows(
     rest: Projected, asked: Inquiry, scattering: Sequence[str] = ()
 ) -> tuple[list[Suspect], dict[str, list[int]]]:
-    """A row of each parameter that is held, and the candidates of each that is testable.
+    """Return a row for each fixed parameter, and the candidates of each testable one.
 
-    Of what may scatter there is one row, of its deviation.
+    A parameter whose elements may scatter has a single row, for their standard deviation.
     """
     candidates = asked.candidates
     notes = [_why_not(rest, index, one) for index, one in enumerate(candidates)]
@@ -205,10 +208,10 @@ def parameter_rows(
             members.setdefault(one.path, []).append(index)
             if one.group:
                 members.setdefault(one.group, []).append(index)
-    # Of a group of one element, that element has a row.
+    # A group with a single element is replaced by the row of that element.
     members = {p: of for p, of in members.items() if len(of) > 1 or candidates[of[0]].path == p}
     alone = {one.path for one in candidates if one.group in scattering}
-    # Of what is asked for as a whole an element that shows nothing has no row.
+    # An element without effect of an array that is tested as a whole has no row.
     whole = {one.path for one in candidates}
     hidden = {path for path in whole if "[" in path and path.partition("[")[0] in whole}
     members = {path: of for path, of in members.items() if path not in alone}
@@ -266,7 +269,7 @@ def _row(path: str, among: Sequence[Candidate], found: Score, others: tuple[str,
 
 
 def _amount_row(path: str, kind: SuspectKind, found: Score, note: str = "") -> Suspect:
-    """A row of something that a fit has none of, and of which a test finds so much."""
+    """Return the row of an effect that is absent from the fit, with its estimated amount."""
     return Suspect(
         path=path,
         kind=kind,
@@ -283,7 +286,7 @@ def _amount_row(path: str, kind: SuspectKind, found: Score, note: str = "") -> S
 
 
 def _why_not(rest: Projected, index: int, one: Candidate) -> str:
-    """Why a candidate is not testable; empty where it is."""
+    """Return the reason why a candidate is not testable; empty if it is."""
     norm, left = float(rest.norms[index]), float(rest.perpendicular[index])
     if not np.isfinite(norm):
         return "its derivative is not finite at this value"
@@ -314,13 +317,19 @@ def switch_row(rest: Projected, index: int, name: str) -> Suspect:
     return _amount_row(name, "switch", score(rest, [index], [0.0], [1.0]))
 
 
-_SPIKE = 5.0  # robust deviations by which an outlier differs from its neighbours
-_FEWEST, _SHARE = 3, 0.002  # outliers, in number and of all cells, from which on they count
-_BY_CHANCE = 1e-5  # of cells of normal noise, whose deviation is known to a tenth
+# Difference of an outlier from its neighbours, in robust standard deviations.
+_SPIKE = 5.0
+# Minimum number of outliers, and minimum fraction of all cells.
+_FEWEST, _SHARE = 3, 0.002
+# Probability that a cell of normal noise is marked, if its standard deviation is known to 10 %.
+_BY_CHANCE = 1e-5
 
 
 def outlying(at: Sequence[Response]) -> list[np.ndarray]:
-    """Which cells, (sample, channel), differ from both neighbours by far; none where too few do."""
+    """Return which cells, (sample, channel), are outliers relative to both neighbours.
+
+    No cell is marked if there are too few outliers.
+    """
     found = []
     for response in at:
         found.append(np.zeros(response.observed.shape, dtype=bool))
@@ -333,8 +342,9 @@ def outlying(at: Sequence[Response]) -> list[np.ndarray]:
             known = column[places]
             spike = known[1:-1] - (known[:-2] + known[2:]) / 2
             usual = robust_deviation(spike)
-            # Beside an outlier its neighbours differ by half as much, the other way; of what rings
-            # by as much, and of what bends the same way.
+            # The neighbours of an outlier differ by half as much in the opposite direction. The
+            # neighbours of a peak of an oscillation differ by the same amount, and those in a bend
+            # in the same direction.
             around = np.stack([spike[:-2], spike[2:]]) + spike[1:-1] / 2
             alone = np.all(np.abs(around) < 0.3 * np.abs(spike[1:-1]) + usual, axis=0)
             mark[places[2:-2]] = alone & (np.abs(spike[1:-1]) > _SPIKE * usual)
@@ -346,7 +356,7 @@ def outlying(at: Sequence[Response]) -> list[np.ndarray]:
 def outliers_row(
     result: FitResult, at: Sequence[Response], factors: Sequence[np.ndarray], rest: Projected
 ) -> list[Suspect]:
-    """That there are outliers, where all residuals count as those of normal noise do."""
+    """Return a row if there are outliers although the loss of the fit is linear."""
     if not result.loss.is_linear or not all(rest.timed):
         return []
     weighted = (weighted_rest(one, one.predicted, by) for one, by in zip(at, factors, strict=True))
@@ -369,42 +379,49 @@ def suspects(
     each: Sequence[str] = (),
     parameters_alone: bool = False,
 ) -> Suspects:
-    """What the residuals of a fit suggest.
+    """Return the effects that the residuals of a fit suggest.
 
-    At the end of a fit everything that it held, switched off or left out gets a test: how much
-    chi-square would fall if it were free, and to which value one step leads. Nothing is fitted.
+    At the end of a fit, every fixed parameter, disabled choice and omitted part is tested: by how
+    much chi-square would decrease if it were free, and which value one step leads to. Nothing is
+    fitted.
 
-    - **Parameters**, those that are left out included, by a score test from one more block of
-      columns of the Jacobian; vectors also as a whole. What lies at a bound is tested towards
-      the inside alone.
-    - **Choices of the model**, such as where drag acts, by a blend from 0 to 1 between the
-      predictions of both.
-    - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit, where
-      the fit ended and where it began: a fit of wrong axes may have bent its model to them.
-    - **Names and units of columns** likewise: numbers of links, mm and degrees for others, and
-      signs and joints of commands.
-    - **Points** that are exchanged, show another one or stand still in some of the rows, likewise.
-    - **Outliers**, which are cells that differ from both of their neighbours.
+    - **Parameters**, including those of omitted parts, by a score test with additional columns of
+      the Jacobian; vectors also as a whole. A parameter at a bound is tested only towards the
+      interior.
+    - **Choices of the model**, for example where drag acts, by a blend from 0 to 1 between the
+      predictions of the two choices.
+    - **Axes of recorded positions**, in each of their 48 orders and signs, without a fit. They are
+      tested at the end of the fit and at its initial guess, because a fit to wrong axes may have
+      distorted its model to match them.
+    - **Names and units of columns**, in the same way: numbers of links, mm or degrees instead of
+      other units, and signs and joints of commands.
+    - **Points** that are exchanged, show another point or stand still in some of the rows, in the
+      same way.
+    - **Outliers**: cells that differ from both of their neighbours.
 
-    A fit that did not converge, or ended far from what is known of a parameter, may have gone
-    where nothing acts any more, or where the model cannot be evaluated. Where nothing explains most
-    of what it leaves, all of it is asked where the fit began, too, and the rows are those of where
-    chance explains the surest one less (`Suspect.begun`).
+    A fit that did not converge, or whose parameters are far from their prior values, may have moved
+    to where an effect has no influence or the model cannot be evaluated. If no suspect explains
+    most of its residuals, all tests are repeated at the initial guess, and the table whose most
+    significant row has the smaller p-value is returned (`Suspect.begun`).
 
-    Missing physics is not noise, so the table is in the order of the drop of chi-square (less what
-    as many random columns would take from residuals of this size), with the white noise that the
-    runs state, or else that of second differences of the residuals. The p-values are those of the
-    noise that is left after the step, which may be larger and correlated along time (AR(1) in the
-    samples of each channel), corrected for the number of tests by Holm's method.
+    A missing effect is not noise. Therefore the table is sorted by the drop of chi-square (minus
+    the drop by as many random columns for residuals of this size), computed with the white noise
+    that the runs state or, if none is stated, with an estimate from the second differences of the
+    residuals. The p-values are based on the noise after the step, which may be larger and
+    correlated in time (AR(1) in the samples of each channel). They are corrected for the number of
+    tests by Holm's method.
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
         each: paths of arrays, such as `encoder.offset`, whose elements are tested one by one and
-            together; by default all of them change in proportion.
-        parameters_alone: leave out choices and axes, each of which takes a program of its own.
+            jointly; by default all elements change in proportion.
+        parameters_alone: omit choices and axes, each of which requires the compilation of a
+            program.
 
     Raises:
-        InputError: other runs, no array in `each`, or a model that cannot be evaluated there.
+        InputError: the runs do not match the result; a path in `each` is not an array; or the
+            model cannot be evaluated.
 
     Example:
         >>> result = giajax.load_result("giajax-out/base_step")  # doctest: +SKIP
@@ -432,7 +449,7 @@ def suspects(
         return at_end
     if at_end is not None and _TABLES * _least_p_value(at_start) >= _least_p_value(at_end):
         return at_end
-    # Of two tables, the better one.
+    # The p-values are corrected for the selection of the better of two tables.
     rows = [
         dataclasses.replace(
             row,
@@ -446,7 +463,9 @@ def suspects(
     return dataclasses.replace(whole, rows=tuple(rows), asked=_TABLES * at_start.asked)
 
 
-_STILL_WILD = 3.0  # times the noise, that residuals are with the best suspects in
+# Ratio of the residuals to the noise, with the best suspects, from which the initial guess is
+# tested.
+_STILL_WILD = 3.0
 _TABLES = 2
 
 
@@ -455,7 +474,7 @@ def _least_p_value(found: Suspects) -> float:
 
 
 def _is_astray(result: FitResult) -> bool:
-    """Whether a fit may have ended where what is missing does not show."""
+    """Return whether a fit may have ended where a missing effect has no influence."""
     verdict = result.verdict
     far = result.status != "converged" or "prior" in {reason.code for reason in verdict.reasons}
     return far and verdict.status == "inadequate"
@@ -497,7 +516,7 @@ def _asked(
         rows += outliers_row(result, at, factors, rest)
     rows += [_untestable(path, "parameter", why) for path, why in asked.impossible.items()]
     rows, number = _corrected(rows, further=ways)
-    # What a column of random numbers takes from residuals of this size, on the scale of BIC.
+    # Decrease of chi-square by a column of random numbers for residuals of this size, as in BIC.
     price = np.log(rest.values) * max(1.0, chi_square / rest.values)
 
     def worth(row: Suspect) -> float:
@@ -506,8 +525,8 @@ def _asked(
         return float(row.chi_square_drop - price * row.degrees_of_freedom)
 
     rows = sorted(rows, key=worth, reverse=True)
-    # Positions among the columns, and the only sign that a step may have, or 0; a choice may be
-    # called as a parameter is.
+    # Indices among the columns, and the only permitted sign of a step, or 0. The key includes
+    # whether it is a choice, because a choice may have the same name as a parameter.
     places: dict[tuple[str, bool], tuple[list[int], int]] = {}
     for path, of in members.items():
         begun = asked.candidates[of[0]]
@@ -534,7 +553,7 @@ def _left_over(
     rest: Projected,
     chi_square: float,
 ) -> float:
-    """How many times the noise the residuals are with the suspects that are significant in."""
+    """Return the ratio of the residuals to the noise with all significant suspects."""
     shown = [row for row in promising(rows) if (row.p_value or 0.0) < LEVEL]
     keys = [(row.path, row.kind == "switch") for row in shown]
     given = [place for key in keys for place in tested.get(key, [])]
@@ -555,10 +574,10 @@ def _among_memory(
     coordinates: Coordinates,
     number: int,
 ) -> list[Suspect]:
-    """Rows with the larger p-value where noise with a memory explains them, too.
+    """Increase the p-values of rows that correlated noise can also explain.
 
-    Only the promising ones that are significant are asked, of so many tests in all; where outliers
-    count less, none is.
+    Only promising and significant rows are tested, and the p-values are corrected for `number`
+    tests. No row is tested if the loss reduces the weight of outliers.
     """
     shown = {id(row) for row in promising(rows)} if result.loss.is_linear else set()
 
@@ -575,9 +594,10 @@ def _among_memory(
     return [confirmed(row) for row in rows]
 
 
-_APART = 6.0  # of chi-square, that a suspect takes beyond others which do not explain it
-_MEMBERS = 3  # of a group, beside the first
-_MOST = 24  # suspects that are compared
+# Decrease of chi-square by a suspect, beyond that by others, above which they do not explain it.
+_APART = 6.0
+_MEMBERS = 3  # members of a group in addition to the first
+_MOST = 24  # maximum number of suspects that are compared
 
 
 def _in_groups(
@@ -586,10 +606,11 @@ def _in_groups(
     rest: Projected,
     scale: float,
 ) -> list[Suspect]:
-    """Rows with what the data tell as one.
+    """Group the rows that the data cannot distinguish.
 
-    The most promising significant one leads a group with whatever leaves too little of it: another,
-    or as few as it takes. What it leaves too little of itself is explained by it.
+    The most promising significant row leads a group of the rows that explain it: a single other
+    row, or as few rows as necessary. Rows that the leading row explains are marked as explained by
+    it.
     """
     enough = _APART * scale
     key = {id(row): (row.path, row.kind == "switch") for row in rows}
@@ -602,7 +623,7 @@ def _in_groups(
 
     def beyond(row: Suspect, others: Sequence[Suspect]) -> float:
         given = [place for other in others for place in tested[key[id(other)]]]
-        # As many columns as it has take as much by chance.
+        # The expected decrease by chance of the same number of columns is subtracted.
         chance = scale * (len(tested[key[id(row)]]) - 1)
         return drop_beyond(rest, tested[key[id(row)]], given) - chance
 
@@ -635,9 +656,9 @@ def _with_moves(
     at: Sequence[Response],
     coordinates: Coordinates,
 ) -> list[Suspect]:
-    """Rows with what the steps of those that are significant do to the fitted parameters."""
+    """Add the shifts of the fitted parameters that the steps of significant rows cause."""
     shown = {id(row) for row in rows if (row.p_value or 0.0) < LEVEL and row.testable}
-    # A deviation has no direction.
+    # A standard deviation has no direction.
     directed = [row for row in rows if id(row) in shown and row.kind != "scatter"]
     keys = {id(row): (row.path, row.kind == "switch") for row in directed}
     columns = sorted({place for key in keys.values() for place in places.get(key, ([], 0))[0]})
@@ -659,7 +680,7 @@ def _with_moves(
 
 
 def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
-    """The responses of each run where the fit ended, those to the fitted parameters first."""
+    """Return the responses of each run at the end of the fit; fitted parameters come first."""
     directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
     return responses_of(result, runs, asked.model, directions)
 
@@ -667,9 +688,10 @@ def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[R
 def _switches(
     result: FitResult, asked: Inquiry, runs: Sequence[Run], *, every: bool
 ) -> dict[str, list[np.ndarray]]:
-    """By the name of each choice of the model: how it changes the predictions of each run.
+    """Return, by the name of each choice of the model, the change of the predictions of each run.
 
-    Not of every one, but of those that say otherwise why a nuisance is not what it usually is.
+    Without `every`, only the choices are included that explain why a nuisance parameter differs
+    from its usual value.
     """
     if not (every or result.nuisances):
         return {}
@@ -685,7 +707,7 @@ def _switches(
     def predicted(name: str | None, tell: Tell) -> list[Response]:
         tell(stop_if_asked)
         model = result.model if name is None else asked_of[name]
-        # With the steps of the integrator that the columns have.
+        # Use the same steps of the integrator as for the columns.
         paths = [one.direction.path for one in asked.candidates]
         stepped = capabilities.for_derivatives(model, paths)
         try:
@@ -693,14 +715,14 @@ def _switches(
         except InputError:
             if name is None:
                 raise
-            found = []  # It may be none that can be evaluated with these values.
-        tell(stop_if_asked)  # Ctrl-C may have come meanwhile.
+            found = []  # This choice cannot be evaluated with these values.
+        tell(stop_if_asked)  # Ctrl-C may have been pressed meanwhile.
         return found
 
-    # Each is a program of its own, and two are compiled at once.
+    # Each choice requires its own program. Programs are compiled in parallel.
     jobs = [functools.partial(predicted, name) for name in (None, *asked_of)]
     found = run_in_threads(jobs, min(cores(), len(jobs)), until=lambda _: False)
-    if None in found:  # It did not begin.
+    if None in found:  # One of them was not started.
         raise KeyboardInterrupt
     base, *others = (each for each in found if each is not None)
     return {
@@ -710,11 +732,12 @@ def _switches(
     }
 
 
-_SURELY = 3.0  # standard errors from which on a nuisance is sure to be there
+# Difference, in standard errors, above which a change of a nuisance parameter is significant.
+_SURELY = 3.0
 
 
 def _explains(result: FitResult, variant: AbstractModel) -> bool:
-    """Whether a nuisance that is surely there is not in a variant of the fitted model."""
+    """Return whether a variant of the model changes a nuisance parameter significantly."""
     for path in result.nuisances:
         estimate, other = result.free[path], float(get(variant, path))
         apart = abs(float(estimate.value) - other)
@@ -724,9 +747,10 @@ def _explains(result: FitResult, variant: AbstractModel) -> bool:
 
 
 def _corrected(rows: Sequence[Suspect], further: int) -> tuple[list[Suspect], int]:
-    """Rows with p-values corrected by Holm's method, and the number of tests.
+    """Return rows with p-values corrected by Holm's method, and the number of tests.
 
-    There were `further` ones, of which only the best has a row.
+    In addition to the tests with a row there were `further` ones, and only the best of these has a
+    row.
     """
     single = {index: row.p_value for index, row in enumerate(rows) if row.p_value is not None}
     number, corrected, highest = len(single) + further, list(rows), 0.0

@@ -1,4 +1,4 @@
-"""Systematic errors: what a held number that is a little wrong does to the fitted ones."""
+"""Systematic errors of fitted parameters due to errors of fixed parameters."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,12 @@ from ._score import Coordinates, responses_of, slopes_of
 from ._suspects import suspects
 
 FRACTION = 0.01
-"""Of a held number, where its uncertainty is not stated."""
+"""Relative uncertainty assumed for a fixed value whose uncertainty is not given."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Doubt:
-    """One held number, or several that move together, and by how much it may be wrong."""
+    """Uncertainty of one fixed value, or of several values that change together."""
 
     path: str
     unit: str
@@ -38,7 +38,7 @@ def check_uncertainty(
     uncertainty: Mapping[str, npt.ArrayLike],
     ties: Mapping[str, str] | None = None,
 ) -> None:
-    """Refuse uncertainties that `systematic_errors` would refuse, before anything is fitted."""
+    """Reject uncertainties that `systematic_errors` would reject, before a fit starts."""
     stated_doubts(free, inquiry(model, free, ties=ties), uncertainty)
 
 
@@ -55,7 +55,8 @@ def stated_doubts(
         if numbers.size not in (1, len(parts)):
             raise InputError(
                 f"the uncertainty of {path} has {numbers.size} values, but the parameter has "
-                f"{len(parts)}: give one value, or one for each element"
+                f"{len(parts)} element{'s' * (len(parts) != 1)}: give one value, or one for each "
+                "element"
             )
         if not np.all(np.isfinite(numbers)) or not np.all(numbers > 0):
             raise InputError(f"the uncertainty of {path} is not positive: give a positive number")
@@ -67,7 +68,7 @@ def stated_doubts(
             )
         if asked.following.issuperset(part.path for part in parts):
             raise InputError(
-                f"{path} is tied to other parameters: state the uncertainty of those parameters"
+                f"{path} is tied to other parameters: give the uncertainty of those parameters"
             )
         name = path.partition("[")[0]
         whole = np.asarray(get(model, name), dtype=float)
@@ -90,7 +91,7 @@ def stated_doubts(
 
 
 def _shared(doubt: Doubt, asked: Inquiry) -> Doubt:
-    """With the direction of a candidate, where one is the same."""
+    """Use the direction of a candidate if it is the same."""
     for one in asked.candidates:
         same = one.direction.path == doubt.direction.path
         if same and np.array_equal(one.direction.step, doubt.direction.step):
@@ -98,7 +99,8 @@ def _shared(doubt: Doubt, asked: Inquiry) -> Doubt:
     return doubt
 
 
-_NOTHING = 1e-6  # standard errors; what is moved by less is not moved
+# Shifts below this fraction of a standard error are treated as zero.
+_NOTHING = 1e-6
 
 
 def systematic_errors(
@@ -106,23 +108,25 @@ def systematic_errors(
     runs: Run | Sequence[Run],
     uncertainty: Mapping[str, npt.ArrayLike] | None = None,
 ) -> tuple[SystematicError, ...]:
-    """What the held numbers of a fit do to the fitted ones, to first order.
+    """Return the first-order effect of errors of fixed parameters on the fitted ones.
 
-    Where residuals are stationary in the fitted parameters theta, a change of a constant c moves
-    them by d(theta)/dc = -(J^T J)^-1 J^T z, with the columns J of theta and z of c (the implicit
-    function theorem with the Gauss-Newton form of the Hessian), all whitened by the noise that the
-    fit used.
+    If the sum of squares is stationary with respect to the fitted parameters theta, a change of a
+    constant c shifts them by d(theta)/dc = -(J^T J)^-1 J^T z, with the columns J of theta and z of
+    c (the implicit function theorem with the Gauss-Newton approximation of the Hessian). All
+    columns are whitened by the noise that the fit used.
 
     Arguments:
-        result, runs: of `giajax.fit` or `giajax.load_result`, and what was fitted, in their order.
-        uncertainty: standard deviations of held numbers, SI, by path; by default those that the
-            fit was given. One number for a whole array moves its elements together; those of a
-            vector, such as the wind, are independent, and so are `links.mass[0]`,
+        result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
+            same order.
+        uncertainty: standard deviations of fixed values, SI, by path; defaults to those that were
+            given to the fit. One value for a whole array shifts its elements together. The elements
+            of a vector, such as the wind, are independent, and so are `links.mass[0]` and
             `links.mass[1]`.
 
     Returns:
-        Those that were stated, then what 1 % of each other held number that is not zero does, the
-        largest shift in standard errors first; what moves nothing is left out.
+        The effects of the given uncertainties, followed by the effect of 1 % of each other fixed
+        value that is not zero, in order of decreasing largest shift relative to the standard error.
+        Values without an effect are omitted.
     """
     several = matching_runs(result.runs, runs)
     if uncertainty is None:
@@ -136,7 +140,7 @@ def systematic_errors(
         if one.value != 0 and one.direction.path not in known
     ]
     doubts = [*stated, *others]
-    # Beside the columns of all candidates, so that the program is the one that tests them.
+    # The columns of all candidates are included, so that the program is the one that tests them.
     directions = [*asked.free, *(one.direction for one in asked.candidates)]
     places = {id(direction): place for place, direction in enumerate(directions)}
     for doubt in doubts:
@@ -147,13 +151,17 @@ def systematic_errors(
     slopes = slopes_of(result, several, at, columns, Coordinates.of(result))
     errors = [_error(result, doubt, slopes[:, index]) for index, doubt in enumerate(doubts)]
     kept = [(error, _weight(result, error)) for error in errors]
-    # The stated ones first, then what decides most; what moves nothing is not worth a row.
+    # Given uncertainties come first, then the largest effects. Values without an effect have no
+    # row.
     kept.sort(key=lambda each: (not each[0].stated, -each[1]))
     return tuple(error for error, weight in kept if error.stated or weight > _NOTHING)
 
 
 def deciding_conditions(errors: Sequence[SystematicError]) -> list[str]:
-    """A sentence on each held number that decides: 1 % of it is more than a standard error."""
+    """Return a sentence for each fixed value whose uncertainty shifts a parameter noticeably.
+
+    The uncertainty is as given, or 1 % of the value. The shift must exceed one standard error.
+    """
     sentences = []
     for error in errors:
         change = f"{error.uncertainty:.3g} {error.unit}".rstrip() if error.stated else "1 %"
@@ -170,14 +178,14 @@ _NAMED = 4
 
 
 def _named(paths: Sequence[str]) -> str:
-    """The paths, of which not more than a few by name."""
+    """List the paths; only the first few are named."""
     if len(paths) <= _NAMED:
         return ", ".join(paths)
     return f"{', '.join(paths[: _NAMED - 1])} and {len(paths) - _NAMED + 1} others"
 
 
 def together(errors: Sequence[SystematicError]) -> dict[str, float]:
-    """The systematic error of each fitted parameter: the stated ones, in quadrature."""
+    """Return the systematic error of each fitted parameter: the given ones, in quadrature."""
     stated = [error.shifts for error in errors if error.stated]
     paths = dict.fromkeys(path for shifts in stated for path in shifts)
     squares = {path: sum(shifts.get(path, 0.0) ** 2 for shifts in stated) for path in paths}
@@ -205,7 +213,7 @@ def _error(result: FitResult, doubt: Doubt, slopes: np.ndarray) -> SystematicErr
 
 
 def _weight(result: FitResult, error: SystematicError) -> float:
-    """The largest shift, in standard errors; of a parameter without one, relative to it."""
+    """Return the largest shift divided by the standard error, or by the value if there is none."""
     return max(
         (
             abs(error.shifts[path]) / (one.standard_error or abs(float(one.value)) or 1.0)
@@ -218,9 +226,9 @@ def _weight(result: FitResult, error: SystematicError) -> float:
 def with_suspects(
     result: FitResult, runs: Run | Sequence[Run], *, parameters_alone: bool = False
 ) -> FitResult:
-    """The result with its suspects, as of `giajax.suspects`, and its verdict with them.
+    """Return the result with its suspects, as from `giajax.suspects`, and an updated verdict.
 
-    Where not parameters alone are asked, with its systematic errors, too.
+    Unless `parameters_alone` is set, systematic errors are added as well.
     """
     found = suspects(result, runs, parameters_alone=parameters_alone)
     asked = dataclasses.replace(result, suspects=found.rows, verdict=found.judge(result))
@@ -230,12 +238,14 @@ def with_suspects(
 def with_systematic_errors(
     result: FitResult, runs: Run | Sequence[Run], uncertainty: Mapping[str, Any] | None = None
 ) -> FitResult:
-    """The result with its systematic errors, and a condition for each held number that decides.
+    """Return the result with its systematic errors, and a condition for each influential value.
 
-    As of `giajax.systematic_errors`; an uncertainty that is stated here is kept in `config`.
+    The errors are computed by `giajax.systematic_errors`. Uncertainties given here are stored in
+    `config`.
     """
     errors = systematic_errors(result, runs, uncertainty)
-    # By how they begin: an earlier version ended them otherwise.
+    # Conditions are recognised by their beginning, because an earlier version ended them
+    # differently.
     before = tuple(f"{error.path}{_DECIDES}" for error in result.systematic)
     conditions = [each for each in result.conditions if not each.startswith(before)]
     stated = {} if uncertainty is None else {"uncertainty": dict(uncertainty)}

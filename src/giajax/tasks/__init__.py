@@ -1,4 +1,4 @@
-"""What `giajax fit` does, from Python: a fit with data, settings and journal; and sweeps."""
+"""Fits and sweeps from Python as in `giajax fit`, with data, settings and a journal."""
 
 from typing import TYPE_CHECKING
 
@@ -22,6 +22,6 @@ from ._stored import (
 )
 from ._sweep import FITS as FITS, TABLE as TABLE, sweep as sweep
 
-# Type checkers are to complain of what is not there.
+# Type checkers should report missing names.
 if not TYPE_CHECKING:
     __getattr__ = _earlier(__name__)

@@ -1,4 +1,4 @@
-"""A fit as data: what to fit to what, before anything is read or computed. Imports no JAX."""
+"""A fit as data, before anything is read or computed: runs, settings and files. Imports no JAX."""
 
 import dataclasses
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -22,14 +22,20 @@ Paths = str | Path | Sequence[str | Path]
 
 
 def paths_of(files: Paths) -> tuple[Path, ...]:
-    """One file, or several."""
+    """Return one or several paths as a tuple."""
     return (Path(files),) if isinstance(files, str | Path) else tuple(map(Path, files))
 
 
 def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
-    """Settings put on top of others: what is said of parameters path by path.
+    """Merge settings with others that take precedence. Settings of parameters are merged by path.
 
-    An InputError where the two together contradict themselves.
+    Arguments:
+        below: settings that may be replaced.
+        above: settings that take precedence.
+        origin: name of the origin of `above` in an error message.
+
+    Raises:
+        InputError: the merged settings contradict each other.
     """
     said = above.model_fields_set
     held, following = set(above.fix), set(above.ties)
@@ -67,13 +73,13 @@ def merged(below: FitSettings, above: FitSettings, origin: str) -> FitSettings:
     if together.get("budget", "") is None:
         del together["budget"]
     merged = Definition.parse({"fit": together}, origin).fit
-    # No file states an optimiser, and so it is not among the contents.
+    # Files cannot specify an optimiser, so it is not part of the contents.
     optimiser = above.optimiser or below.optimiser
     return merged.model_copy(update={"optimiser": optimiser}) if optimiser else merged
 
 
 def plain_of(task: "FitTask") -> dict[str, Any]:
-    """A task as plain data; nothing is read."""
+    """Return a task as plain data, without reading any file."""
     return {
         "data": [str(path) for path in task.data],
         "validation": [str(path) for path in task.validation],
@@ -85,13 +91,13 @@ def plain_of(task: "FitTask") -> dict[str, Any]:
     }
 
 
-# Whole runs that begin where a fit of their windows ends.
+# Fits of whole runs that start from the result of a fit of their windows.
 #
-# The cost of a long recording of something that swings has many local minima: with a frequency
-# that is off, the model is out of step soon, and stays so. In a window of a few periods, which
-# begins in a state of its own, it has no time for that.
+# The cost of a long oscillating recording has many local minima: with a wrong frequency, the model
+# soon gets out of phase, and stays so. A window of a few periods with its own initial state is too
+# short for that.
 
-_FIRST = " 0 s"  # what `runs.windows` calls the first window of a run
+_FIRST = " 0 s"  # suffix that `runs.windows` gives the first window of a run
 
 
 def with_warm_start(
@@ -99,16 +105,18 @@ def with_warm_start(
     watch: "Watch | None" = None,
     told: "Callable[[FitResult], object] | None" = None,
 ) -> "FitTask":
-    """The task with the start that `windows_first_s` of its `[fit]` requests.
+    """Return the task with the warm start that `windows_first_s` in `[fit]` requests.
 
-    Parameters begin where the fit of the windows ends, and states of runs with those of their
-    first windows. What is held out of the runs is held out of the windows, too. A task that asks
-    for nothing, or begins somewhere, is returned.
+    The parameters start at the result of the fit of the windows, and the states of runs at those of
+    their first windows. Data that are held out of the runs are held out of the windows, too. A task
+    without this setting, or with a warm start, is returned unchanged.
 
     Arguments:
-        task: what to fit to what.
-        watch: from the fit in windows to what is called after each of its steps.
-        told: called with its result, unless Ctrl-C came: no fit of whole runs follows then.
+        task: task to prepare.
+        watch: function that receives the setup of the fit of the windows, and returns a function
+            that is called after each of its steps.
+        told: function that is called with the result of that fit, unless Ctrl-C was pressed. The
+            fit of the whole runs is then omitted.
     """
     settings = task.definition.fit
     if settings.windows_first_s is None or task.begin is not None:
@@ -124,7 +132,7 @@ def with_warm_start(
     if told is not None:
         told(result)
     reached = reached_by(result)
-    # By the names of the runs that the windows were cut of.
+    # The keys are the names of the runs from which the windows were cut.
     own = {
         name.removesuffix(_FIRST): values
         for name, values in reached["own"].items()
@@ -133,23 +141,24 @@ def with_warm_start(
     return dataclasses.replace(task, begin={**reached, "own": own})
 
 
-_OUT = Path("giajax-out")  # where results go by default
+_OUT = Path("giajax-out")  # default folder of results
 
 
 @dataclasses.dataclass(frozen=True)
 class FitTask:
-    """A fit definition with its files, and the settings that were put on top of it.
+    """Fit definition with its files, and the settings that replace some of its own.
 
     Attributes:
-        definition: all settings, merged; what it leaves out has its default.
+        definition: all merged settings. Missing settings have their defaults.
         data: files of the runs to fit.
-        validation: files of the runs that the result must predict and is not fitted to.
-        rename: the files' column name -> the name it has in the column table.
-        source: the fit definition; None where there is none.
-        begin: where another fit ended, as plain data (`fitting.WarmStart`); None for a start as
-            the settings say.
-        resolved: `config` of the result whose numbers are to come again; None for a new fit.
-        earlier: its folder, if at most the number of starts is changed: its own are kept.
+        validation: files of the runs that the result must predict, and to which it is not fitted.
+        rename: map from the column names of the files to the names in the column table.
+        source: path of the fit definition, or None.
+        begin: final values of another fit as plain data (`fitting.WarmStart`), or None for a start
+            according to the settings.
+        resolved: `config` of a result whose numbers are to be reproduced, or None for a new fit.
+        earlier: folder of that result, if at most the number of starts has changed. Its starts are
+            kept.
 
     Example:
         >>> import giajax
@@ -169,10 +178,10 @@ class FitTask:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The task of a fit definition in TOML; the files that it names are relative to it.
+        """Return the task of a fit definition in TOML. File names are relative to the definition.
 
         Raises:
-            InputError: the file is missing, is not TOML, or has a key or a value that it may not.
+            InputError: the file is missing, is not TOML, or contains an invalid key or value.
         """
         path = Path(path)
         definition = Definition.load(path)
@@ -185,21 +194,25 @@ class FitTask:
 
     @classmethod
     def of(cls, data: Paths) -> Self:
-        """The task of a run or several, with every setting at its default."""
+        """Return the task of one or several runs, with all settings at their defaults."""
         return cls(Definition(), data=paths_of(data))
 
     @classmethod
     def again(cls, path: str | Path, *, home: Path | None = None) -> Self:
-        """The task of a result, by its file or folder: the same data, settings, starts and numbers.
+        """Return the task that repeats a result with the same data, settings and initial guesses.
 
-        On the same machine and with the same versions they are the same bit for bit. It goes
-        beside the other one, into NAME-again. With more `starts` on top only those are fitted. As
-        long as no setting is changed, `prepare` refuses what has become of them in another version
-        of giajax. The folder that it was fitted into is `home`, where its file lies in another one.
+        On the same machine and with the same versions, the numbers are bitwise identical. The
+        result is written to NAME-again, next to the other one. If `starts` is increased, only the
+        additional ones are fitted. If no setting is changed, `prepare` refuses settings that this
+        version of giajax resolves differently.
+
+        Arguments:
+            path: file or folder of the result.
+            home: folder in which the fit was made, if the file is in another one.
 
         Raises:
-            InputError: no such result, one that was stopped when its time was up, or a file that
-                it was fitted to has changed.
+            InputError: the result does not exist, its fit was stopped by the time budget, or a
+                fitted file has changed.
         """
         folder, stored = repeatable(path)
         check_sources(stored["versions"], f"{stored['model']} {stored['config']}")
@@ -212,11 +225,11 @@ class FitTask:
 
     @classmethod
     def resumed(cls, folder: str | Path) -> Self:
-        """The task of a fit that was stopped or cut off; `run(journal=folder)` of it goes on.
+        """Return the task of a fit that was stopped or killed. `run(journal=folder)` continues it.
 
         Raises:
-            InputError: no journal there, one that cannot be read, or a file that was fitted to
-                has changed.
+            InputError: the folder has no journal, the journal cannot be read, or a fitted file has
+                changed.
         """
         folder = Path(folder)
         journal = read_journal(folder)
@@ -238,26 +251,27 @@ class FitTask:
         origin: str = "the arguments",
         **keywords: Unpack[TaskKeywords],
     ) -> Self:
-        """The task with some settings changed; what is left out stays.
+        """Return the task with some settings changed. All others stay.
 
-        What is said of parameters is merged path by path, and the last word on one counts: one
-        that is fixed here is no longer free, and loses its start, prior, bounds, tie and groups;
-        one that is free or has a start here is no longer fixed.
+        Settings of parameters are merged by path, and the last setting of a parameter applies. A
+        parameter that is fixed here is no longer free, and loses its initial value, prior, bounds,
+        tie and groups. A parameter that is free or has an initial value here is no longer fixed.
 
         Arguments:
-            data, validation: file or files, in place of those before.
-            settings: to put on top; or give its fields as keywords, of which `giajax.FitSettings`
-                says what each is. A budget of "" is none.
-            begin: a result, or its file or folder: the fit starts where that one ended, with
-                the initial states of runs of the same name. Parameters that were free or fixed
-                there and are held here are held at their values there. What `start` or `fix`
-                says with it or later goes before.
-            out: where the result goes (`giajax-out/` and the name of the definition or run).
-            rename: the files' column name -> the name it has in the column table.
-            origin: what an error calls the origin of these settings.
+            data, validation: file or files that replace the current ones.
+            settings: settings to change, as an alternative to their fields as keywords, which
+                `giajax.FitSettings` describes. A budget of "" removes the budget.
+            begin: result, or its file or folder. The fit starts at the final values of that fit,
+                with the initial states of runs of the same name. Parameters that were free or fixed
+                there and are held here keep their values from there. Values in `start` or `fix` in
+                this or a later call take precedence.
+            out: folder of the result (default: `giajax-out/` and the name of the definition or
+                run).
+            rename: map from the column names of the files to the names in the column table.
+            origin: name of the origin of these settings in an error message.
 
         Raises:
-            InputError: a value that its key may not have.
+            InputError: a value is invalid for its key.
         """
         below = self.definition.fit
         if keywords.get("budget") == "":
@@ -283,19 +297,19 @@ class FitTask:
 
     @property
     def out(self) -> Path:
-        """Where the result goes."""
+        """Folder of the result."""
         if self.definition.fit.out is not None:
             return Path(self.definition.fit.out)
         named = self.source or (self.data[0] if self.data else Path("fit"))
         return _OUT / named.stem
 
     def prepare(self) -> "Preparation":
-        """Read the runs and resolve settings; nothing but windows (`windows_first_s`) is evaluated.
+        """Read the runs and resolve the settings. Only windows (`windows_first_s`) are fitted.
 
-        The `setup` of what it returns has the model and the free parameters.
+        The `setup` of the returned object contains the model and the free parameters.
 
         Raises:
-            InputError: no data, files that are not runs, or as `giajax.fit`.
+            InputError: no data, files that are not runs, or an error as in `giajax.fit`.
         """
         if not self.data:
             raise InputError("the task has no data: give at least one run")
@@ -321,24 +335,26 @@ class FitTask:
         check: bool = True,
         journal: str | Path | None = None,
     ) -> "FitResult":
-        """Fit, and predict what was held out and the runs of the validation.
+        """Fit, and predict the held-out data and the validation runs.
 
-        A fit wants 64-bit: call `jax.config.update("jax_enable_x64", True)` first, which
-        `giajax fit` does by itself.
+        A fit requires 64-bit precision: call `jax.config.update("jax_enable_x64", True)` first,
+        which `giajax fit` does by itself.
 
         Arguments:
-            progress: called after each step with an `Iteration`.
-            announce: with several starts, called before each with its number and values.
+            progress: function that is called after each step with an `Iteration`.
+            announce: function that is called, with several starts, before each start with its
+                number and values.
             check: compute the gradient check and the effect of the solver tolerance at the end.
-            journal: a folder for a journal, `journal.jsonl`, which has every step. Where it has
-                one of this fit already, the fit continues from there, and one that has ended gives
-                its result again.
+            journal: folder for a journal, `journal.jsonl`, which contains every step. If it
+                contains a journal of this fit, the fit continues from there, and a fit that has
+                ended returns its result again.
 
         Returns:
-            The result, the best so far after Ctrl-C; `giajax.write_result` writes it.
+            The result, or the best result so far after Ctrl-C. `giajax.write_result` writes it.
 
         Raises:
-            InputError: as `prepare`, a start that cannot be evaluated, or another fit's journal.
+            InputError: as in `prepare`, initial values that cannot be evaluated, or a journal of
+                another fit.
         """
         ready = self.prepare()
         if journal is None:

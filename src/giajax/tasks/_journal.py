@@ -1,7 +1,7 @@
-"""The journal of a fit, which it is resumed from, and the task as plain data in it.
+"""Journal of a fit, from which it can be resumed, with its task as plain data.
 
-The first line says what is fitted to what; each other one is a state of a fit. A line that was
-being written when the process ended is left out: the file is readable at every moment.
+The first line describes the fit, and each other line is a state of a fit. A line that was
+incomplete when the process ended is ignored, so the file is readable at every moment.
 """
 
 import contextlib
@@ -35,14 +35,14 @@ from ..runtime.text import InputError
 if TYPE_CHECKING:
     from ..fitting import FitResult
 
-# What ends a fit or says where it goes, and not which fit it is.
+# Settings that end a fit or give its folder, but do not identify the fit.
 _ASIDE = ("out", "budget", "max_iterations")
 
 
 def checksums_of(files: Sequence[Path], source: Path | None = None) -> dict[str, str | None]:
-    """SHA-256 of the files that a fit reads, by path; None for a sidecar that is not there.
+    """Return the SHA-256 of the files that a fit reads, by path, or None for a missing sidecar.
 
-    The fit definition comes first, if it is to be read, and the sidecar of each run after it.
+    The fit definition comes first, if there is one, and each run is followed by its sidecar.
     """
     paths: dict[Path, bool] = {} if source is None else {source: True}
     for path in files:
@@ -62,7 +62,10 @@ def _checksum(path: Path, needed: bool) -> str | None:
 
 
 def moved_to(path: str | Path, digits: str, folder: Path | None) -> Path | None:
-    """A file that has moved, by name and checksum: here, by the result or in folders above that."""
+    """Return the new path of a moved file, found by name and checksum, or None.
+
+    The current folder, the folder of the result and two folders above are searched.
+    """
     near = () if folder is None else (folder, *folder.resolve().parents[:2])
     for place in (Path(), *near):
         there = place / Path(path).name
@@ -72,9 +75,12 @@ def moved_to(path: str | Path, digits: str, folder: Path | None) -> Path | None:
 
 
 def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
-    """Where each file of a record is: here, as it lay beside the result, or where it has moved to.
+    """Return a function that finds the files of a record.
 
-    An InputError names the first file that is missing or has changed.
+    They are in the current folder, in the same place relative to the result, or moved.
+
+    Raises:
+        InputError: a file is missing or has changed. The message names the first one.
     """
     out = Path(record["out"])
     bases = [Path()]
@@ -88,10 +94,10 @@ def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
     if not there:
         missing = next(name for name in names if not (bases[0] / name).exists())
         raise InputError(
-            f"{missing}, to which {folder} was fitted, does not exist: run the command where the "
+            f"{missing}, which the fit in {folder} uses, does not exist: run the command where the "
             "file is, or restore it"
         )
-    # Another file of the same name may be here.
+    # A different file with the same name may be here.
     complaints = [_change(record, base) for base in there]
     if None not in complaints:
         raise InputError(f"{complaints[0]} since the fit began: restore it, or fit again")
@@ -100,7 +106,7 @@ def _places(record: Mapping[str, Any], folder: Path) -> Callable[[str], Path]:
 
 
 def _change(record: Mapping[str, Any], base: Path) -> str | None:
-    """The first file of a task that is not as it was, and how; None where there is none."""
+    """Return the first file of a task that has changed, and how, or None."""
     for name, before in record["inputs"].items():
         if _checksum(base / name, needed=before is not None) != before:
             return f"{base / name} {'is new' if before is None else 'has changed'}"
@@ -108,7 +114,7 @@ def _change(record: Mapping[str, Any], base: Path) -> str | None:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """What differs between the settings of two records, by the names of their keys."""
+    """Return the names of the keys in which the settings of two records differ."""
     names = [key for key in ("data", "validation", "rename", "begin") if one[key] != other[key]]
     before, after = (record["definition"] for record in (one, other))
     for section in sorted({*before, *after} - {"fit", "truth", "figures"}):
@@ -116,7 +122,7 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
             names.append(f"[{section}]")
     before, after = before.get("fit", {}), after.get("fit", {})
     for key in sorted({*before, *after} - {*_ASIDE, "data", "validation"}):
-        # What is left out and what is empty is the same.
+        # A missing setting and an empty one are equivalent.
         usual = True if key == "nuisances" else None
         if (before.get(key, usual) or None) != (after.get(key, usual) or None):
             names.append(key)
@@ -124,7 +130,10 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
 
 
 def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The fields of the task that a record in a folder describes, whose files are as they were."""
+    """Return the fields of the task that a record in a folder describes.
+
+    Its files must be unchanged.
+    """
     place, source = _places(record, folder), record["source"]
     return {
         "definition": Definition.parse(record["definition"], "the stored task"),
@@ -137,7 +146,7 @@ def unchanged(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def known_to(config: Mapping[str, Any], definition: Definition) -> Definition:
-    """The definition of a fit as it was resolved to a `config`: earlier ones had no nuisances."""
+    """Return the definition of a fit with this `config`. Earlier versions had no nuisances."""
     if "nuisances" in config:
         return definition
     held = definition.fit.model_copy(update={"nuisances": False})
@@ -145,23 +154,24 @@ def known_to(config: Mapping[str, Any], definition: Definition) -> Definition:
 
 
 def check_again(now: Mapping[str, Any], before: Mapping[str, Any], folder: Path) -> None:
-    """Refuse to go on with the fit of a journal by other settings, or on other files.
+    """Refuse to continue the fit of a journal with different settings or files.
 
-    An InputError names the first file, or all settings, that differ.
+    Raises:
+        InputError: settings or files differ. The message names the first file, or all settings.
     """
     _places(before, folder)
     same_files = list(now["inputs"].values()) == list(before["inputs"].values())
-    # What nuisances there are, its configuration says, which is compared.
+    # The nuisance parameters are part of the configuration, which is compared.
     by_other_names = ("nuisances", *(("data", "validation") if same_files else ()))
     if names := [name for name in differences(now, before) if name not in by_other_names]:
         raise InputError(
-            f"the fit in {folder} has other settings (different: {', '.join(names)}): omit "
-            "these settings to continue it, or fit again into another folder"
+            f"the fit in {folder} has different settings ({', '.join(names)}): omit these settings "
+            "to continue it, or fit again into another folder"
         )
 
 
 def version_note(versions: Mapping[str, str]) -> str:
-    """A sentence where another Python or library computes here than before; else empty."""
+    """Return a sentence if another Python or library is used than before, otherwise ""."""
     import platform
     from importlib.metadata import PackageNotFoundError, version
 
@@ -175,11 +185,11 @@ def version_note(versions: Mapping[str, str]) -> str:
             now = "none"
         if now != before:
             changed.append(f"{name} {before} before, {now} now")
-    shown = f"other versions are installed ({'; '.join(changed)}): the last digits may differ"
+    shown = f"different versions are installed ({'; '.join(changed)}): the last digits may differ"
     return shown if changed else ""
 
 
-# One fit at a time in a folder: a lock that ends with the process that has it.
+# A lock allows one fit at a time in a folder. It ends with the process that holds it.
 
 try:
     import fcntl
@@ -188,16 +198,16 @@ except ImportError:  # a system without such locks
 
 LOCK = "fit.lock"
 
-# File systems that have no such locks say so in one of these ways.
+# Error codes of file systems without such locks.
 _NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 @contextlib.contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold a folder, which is made where it is missing and removed again where it stays empty.
+    """Lock a folder, which is created if it is missing, and removed if it remains empty.
 
-    The system gives the lock back when the process ends, however it does; the file that a killed
-    process leaves is not a lock, and is taken over.
+    The system releases the lock when the process ends for any reason. The file that a killed
+    process leaves is not a lock, and is reused.
     """
     check_output_folder(folder)
     made = [path for path in (folder, *folder.parents) if not path.exists()]
@@ -208,7 +218,8 @@ def locked(folder: Path) -> Iterator[None]:
             with written_to(folder):
                 yield
         finally:
-            # While it is held: whoever has opened the file meanwhile sees that it is gone.
+            # The file is removed while the lock is held, so a process that has opened it notices
+            # this.
             with contextlib.suppress(OSError):
                 path.unlink()
             os.close(descriptor)
@@ -219,10 +230,10 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _taken(path: Path) -> int:
-    """The lock file, opened and held."""
+    """Open and lock the lock file."""
     while True:
         try:
-            # Never through a link that somebody has put there.
+            # Never follow a symbolic link, which may have been planted there.
             flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
             descriptor = os.open(path, flags, 0o666)
         except OSError as error:
@@ -249,8 +260,8 @@ def _taken(path: Path) -> int:
         with contextlib.suppress(FileNotFoundError):
             if os.path.samestat(os.stat(path, follow_symlinks=False), os.fstat(descriptor)):
                 break
-        os.close(descriptor)  # of a fit that has just ended, and removed it
-    with contextlib.suppress(OSError):  # the words are for people; the lock holds without them
+        os.close(descriptor)  # lock of a fit that has just ended and removed the file
+    with contextlib.suppress(OSError):  # informative text, which the lock does not need
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
     return descriptor
@@ -263,11 +274,17 @@ Line = Mapping[str, Any]
 
 
 class Journal:
-    """The journal of a fit, which may have several starts.
+    """Journal of a fit, which may have several starts.
 
-    A line that cannot be written (the disk is full) does not end the fit: it is written with the
-    next one, if there is room again. `complain` is called with a sentence then, once. The size is
-    that up to the end of the last whole line, bytes; 0 where there is none yet.
+    A line that cannot be written (for example to a full disk) does not end the fit. It is written
+    with the next line, if there is space again.
+
+    Arguments:
+        path: path of the file.
+        head: first line, which describes the fit.
+        lines: later lines.
+        size: size of the file up to the end of the last complete line, bytes, 0 for a new file.
+        complain: function that is called with a sentence, once, if a line cannot be written.
     """
 
     def __init__(
@@ -283,12 +300,12 @@ class Journal:
         self._waiting = b"" if size else _encoded({"giajax_journal": _FORMAT, **head})
         self._descriptor: int | None = None
         self._complained: set[str] = set()
-        # Fits from several starts run at once.
+        # Fits from several starts run in parallel.
         self._lock = threading.Lock()
 
     @property
     def is_begun(self) -> bool:
-        """Whether it holds a state of a fit."""
+        """Whether the journal contains a state of a fit."""
         return any("fit" in line for line in self._lines)
 
     @property
@@ -298,17 +315,18 @@ class Journal:
 
     @property
     def is_complete(self) -> bool:
-        """Whether each fit in it has ended by itself, so that none can go on."""
+        """Whether each fit in the journal has ended by itself, so that none can continue."""
         last = {line["fit"]: line for line in self._lines if "fit" in line}
         return bool(last) and all(line["ending"] is not None for line in last.values())
 
     def of(self, number: int) -> "Part":
-        """The journal of one fit, by its number from 1."""
+        """Return the journal of one fit, by its number from 1."""
         return Part(self, number, [line for line in self._lines if line.get("fit") == number])
 
     def append(self, line: Line) -> None:
-        """Write a line, and have it on the disk before this returns."""
-        # What a fit has reached is in its state; here only how each of them ended counts.
+        """Write a line, which is on the disk when this returns."""
+        # The state contains the progress of a fit. Here, only the way in which each fit ended is
+        # needed.
         kept = {key: line[key] for key in ("fit", "ending", "written") if key in line}
         with self._lock:
             self._lines.append(kept)
@@ -322,7 +340,7 @@ class Journal:
                 )
 
     def settle(self, result: "FitResult") -> None:
-        """Put it away, whose result is written: removed, if nothing is left to go on with."""
+        """Close the journal of a written result, and remove it if no fit can continue."""
         whole = len(result.starts) == result.config.get("starts", 0)
         ended = result.status == "not_converged" and self.is_complete
         if whole and (ended or result.status == "converged"):
@@ -331,7 +349,7 @@ class Journal:
             self.append({"written": True})
 
     def warn(self, sentence: str) -> None:
-        """Complain, about each thing once."""
+        """Complain about each problem once."""
         if sentence not in self._complained:
             self._complained.add(sentence)
             self.complain(sentence)
@@ -340,11 +358,12 @@ class Journal:
         if self._descriptor is None:
             flags = os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             if not self._size:
-                # A new one is made, never through what somebody has put there.
+                # A new file is created, and an existing link or file is never written through.
                 self.path.unlink(missing_ok=True)
                 flags |= os.O_CREAT | os.O_EXCL
             self._descriptor = os.open(self.path, flags, 0o666)
-        # What is behind the last whole line was torn, by the end of a process or of the disk.
+        # Data after the last complete line are incomplete, because the process ended or the disk
+        # was full.
         os.ftruncate(self._descriptor, self._size)
         os.lseek(self._descriptor, self._size, os.SEEK_SET)
         done = 0
@@ -368,25 +387,25 @@ class Journal:
 
 
 class Part:
-    """The journal of one fit; what `giajax.fitting.FitJournal` describes."""
+    """Journal of one fit, which implements `giajax.fitting.FitJournal`."""
 
     def __init__(self, journal: Journal, number: int, lines: Sequence[Line]) -> None:
         self.journal, self.number, self.lines = journal, number, lines
 
     def append(self, line: Line) -> None:
-        """Keep one more line."""
+        """Store one more line."""
         self.journal.append({"fit": self.number, **line})
 
     def bits_differ(self) -> None:
-        """Say that this machine computes other bits."""
+        """Warn that this machine computes slightly different numbers."""
         self.journal.warn(
-            "this machine or its libraries differ from the journal in the last digits: the fit "
-            "continues, and the last digits of the result may differ"
+            "this machine or its libraries give last digits that differ from those of the journal: "
+            "the fit continues, and the last digits of the result may differ"
         )
 
 
 def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None) -> Journal | None:
-    """The journal in a folder; None where there is none, or none that holds a state of a fit."""
+    """Return the journal in a folder, or None if there is none that contains a state of a fit."""
     path = folder / JOURNAL
     try:
         data = read_bytes(path, JOURNAL_BYTES)
@@ -400,7 +419,7 @@ def read_journal(folder: Path, complain: Callable[[str], None] = lambda _: None)
         try:
             lines.append(_parsed(text, number, path))
         except InputError:
-            # The last one may have its length on the disk, and not yet its content.
+            # The last line may have its length on the disk, but not yet its content.
             if number == len(whole) > 1:
                 break
             raise
@@ -425,7 +444,7 @@ class _Head:
 
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """A state of a fit; the rest of it is read when the fit goes on."""
+    """State of a fit. Its other fields are read when the fit continues."""
 
     __pydantic_config__ = _OTHERS
     fit: int
@@ -433,8 +452,8 @@ class _State:
 
 
 def _parsed(text: bytes, number: int, path: Path) -> Line:
-    """A line, checked to have what this file needs of it."""
-    what = f"{path} is damaged in line {number}, or is not a journal of giajax"
+    """Return a line, after checking the fields that this module needs."""
+    what = f"{path} is damaged at line {number}, or is not a giajax journal"
     remedy = "remove it, and fit again"
     try:
         line = json.loads(text)

@@ -1,4 +1,4 @@
-"""A plan: one fit definition, and what differs between the fits of it. Imports no JAX."""
+"""Plan of a sweep: one fit definition, and the settings that vary between fits. Imports no JAX."""
 
 import dataclasses
 import functools
@@ -31,7 +31,7 @@ from ._journal import checksums_of
 TABLES = ("start", "fix", "priors", "bounds", "ties", "groups")
 """Keys of `[fit]` that are tables of values by parameter path."""
 
-# Where the result of one fit would go, and what is computed after a single one.
+# Folder of a single result, and a computation that follows a single fit.
 _NOT_HERE = ("out", "uncertainty")
 
 RANGE = ("from", "to", "count", "log")
@@ -44,20 +44,20 @@ DRAWS = {
 }
 """Distributions and the form of their arguments."""
 
-# A table with one of these is a value, and no part of a path; the first is of a prior.
+# A table with one of these keys is a value, not part of a path. The first belongs to a prior.
 _OF_VALUES = {"value", *RANGE, *DRAWS}
 
 Case = Mapping[str, Any]
-"""Values by column: `loss`, `fix.links.mass`."""
+"""Values by column, such as `loss` or `fix.links.mass`."""
 
 MOST = 100_000
-"""Fits of a plan."""
+"""Maximum number of fits of a plan."""
 
 
 def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Values by column of a section, which errors call `where`.
+    """Return the values of a section by column. Errors call the section `where`.
 
-    Columns are the keys of `[fit]`, those of its tables with their paths.
+    Columns are the keys of `[fit]`, and for its tables the keys with a path.
     """
     known = [name for name in FitSettings.model_fields if name not in _NOT_HERE]
     columns = {}
@@ -85,7 +85,7 @@ def columns_of(section: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def check_count(count: int, where: str) -> None:
-    """Refuse more fits than a plan may have, before they are made."""
+    """Refuse more fits than a plan may have, before they are created."""
     if count > MOST:
         raise InputError(
             f"{where} has {count:,} fits, but at most {MOST:,} are allowed: reduce the number"
@@ -96,7 +96,7 @@ _METHODS = ("sobol", "random")
 
 
 def grid_cases(section: Mapping[str, Any], where: str) -> list[Case]:
-    """Every combination of the values of a grid; those of the last key differ first."""
+    """Return every combination of the values of a grid. The last key varies fastest."""
     columns = columns_of(section, where)
     several = [_listed(value, f"{where}: {name}") for name, value in columns.items()]
     check_count(math.prod(map(len, several)), where)
@@ -104,7 +104,7 @@ def grid_cases(section: Mapping[str, Any], where: str) -> list[Case]:
 
 
 def _listed(value: Any, where: str) -> list[Any]:
-    """The values that a list has, or a range."""
+    """Return the values of a list or of a range."""
     if isinstance(value, list) and value:
         return value
     if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= set(RANGE):
@@ -116,11 +116,11 @@ def _listed(value: Any, where: str) -> list[Any]:
     if type(count) is int:
         check_count(count, where)
     if not (_is_number(low) and _is_number(high) and type(count) is int and count > 0):
-        raise InputError(f"{where} must state two numbers and a positive count: correct it")
+        raise InputError(f"{where} must give two numbers and a positive count: correct it")
     logarithmic = value.get("log", False)
     if logarithmic and not min(low, high) > 0:
         raise InputError(f"{where} is logarithmic, so both ends must be positive: correct them")
-    # Whole numbers stay whole where every one is: some keys take no other.
+    # Integers stay integers if all values are, because some keys require them.
     steps = max(count - 1, 1)
     if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
         return [low + (high - low) // steps * step for step in range(count)]
@@ -132,19 +132,19 @@ def _listed(value: Any, where: str) -> list[Any]:
 
 
 def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
-    """Draws of start values and held values, by a Sobol sequence or at random."""
+    """Draw initial values and held values from a Sobol sequence or at random."""
     rest = {name: item for name, item in section.items() if name in ("start", "fix")}
     count, seed = section.get("count"), section.get("seed", 0)
     method = section.get("method", "sobol")
     unknown = set(section) - {"start", "fix", "count", "seed", "method"}
     if unknown:
         raise InputError(
-            f"{where}: unknown key {shown(min(unknown))}: correct or remove it (known here: count, "
+            f"{where}: unknown key {shown(min(unknown))}: correct or remove it (known keys: count, "
             "seed, method, start, fix)"
         )
     if type(count) is not int or count < 1:
         raise InputError(
-            f"{where}: count must be a number of draws: give a positive number, such as 64"
+            f"{where}: count must be a positive number of draws, such as 64: correct it"
         )
     check_count(count, where)
     if type(seed) is not int or seed < 0:
@@ -154,7 +154,7 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
     columns = columns_of(rest, where)
     if not columns:
         raise InputError(f"{where} draws nothing: add fix or start with a distribution")
-    # In the unit cube, shape (count, column), none of them on its faces.
+    # Points in the unit cube, shape (count, column), none of them on its faces.
     if method == "sobol":
         from ..runtime.arrays import sobol_points
 
@@ -170,7 +170,7 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
 
 
 def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
-    """Values of a distribution at points of the unit interval."""
+    """Return the values of a distribution at points of the unit interval."""
     kind = next(iter(value), None) if isinstance(value, Mapping) and len(value) == 1 else None
     ends = value[kind] if kind in DRAWS else None
     if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends))):
@@ -184,7 +184,7 @@ def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
 
         return iter((low + high * ndtri(points)).tolist())
     if not low < high or (kind == "log_uniform" and low <= 0):
-        raise InputError(f"{where} must state the lower end first, {DRAWS[kind or '']}: correct it")
+        raise InputError(f"{where} must give the lower end first, {DRAWS[kind or '']}: correct it")
     if kind == "log_uniform":
         return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
     return iter((low + points * (high - low)).tolist())
@@ -195,7 +195,7 @@ def _is_number(value: Any) -> bool:
 
 
 def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
-    """Every combination of what list, sample and grid of a plan say."""
+    """Return every combination of the list, the sample and the grid of a plan."""
     for name, kind in (("grid", dict), ("sample", dict), ("list", list)):
         if not isinstance(data.get(name, kind()), kind):
             what = "a list of tables, [[list]]" if kind is list else f"a table, [{name}]"
@@ -219,7 +219,7 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
 
 
 def _row(section: Mapping[str, Any], where: str) -> Case:
-    """The values of one fit."""
+    """Return the values of one fit."""
     row = columns_of(section, where)
     for name, value in row.items():
         if isinstance(value, Mapping) and "value" not in value:
@@ -237,13 +237,13 @@ _OUT = Path("giajax-out")
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What to fit: `base`, with the settings of each case put on top.
+    """Fits of a sweep: `base`, with the settings of each case applied.
 
     Attributes:
-        base: the fit without anything that differs.
-        cases: of each fit the values that differ, by column.
-        out: where the table goes; None where the plan does not say.
-        source: its file; None for a plan as data.
+        base: fit without the settings that vary.
+        cases: for each fit, the values that vary, by column.
+        out: folder of the table, or None if the plan does not specify it.
+        source: file of the plan, or None for a plan given as data.
 
     Example:
         >>> from giajax import tasks as sweeping
@@ -259,7 +259,7 @@ class Plan:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The plan of a TOML file; the files that it names are relative to it."""
+        """Read the plan of a TOML file. Its file names are relative to the plan."""
         path = Path(path)
         text = read_text(path, TEXT_BYTES, "TOML", "the path of a plan")
         plan = cls.parse(parse_toml(text, path), path.parent, str(path))
@@ -269,18 +269,21 @@ class Plan:
     def parse(
         cls, data: Mapping[str, Any], folder: str | Path = "", source: str = "the plan"
     ) -> Self:
-        """The plan that plain data state.
+        """Return the plan from plain data.
 
-        Data are as `tomllib` reads a file (`docs/sweep.md`), whose paths begin at a folder.
+        Arguments:
+            data: data as `tomllib` reads a file (`docs/sweep.md`).
+            folder: folder to which the paths are relative.
+            source: name of the data in an error message.
 
         Raises:
-            InputError: a key or a value that it may not have, or too many fits.
+            InputError: an invalid key or value, or too many fits.
         """
         check_size(data, source)
         folder = Path(folder)
         if unknown := [name for name in data if name not in _KEYS]:
             raise InputError(
-                f"{source}: unknown key {shown(unknown[0])}: correct or remove it (known here: "
+                f"{source}: unknown key {shown(unknown[0])}: correct or remove it (known keys: "
                 f"{', '.join(_KEYS)})"
             )
         if data.get("schema_version", 1) != 1:
@@ -302,11 +305,11 @@ class Plan:
             raise InputError(f"{source}: out must be the name of a folder: correct it")
         cases = cases_of(data, source)
         plan = cls(base, tuple(cases), None if out is None else Path(out))
-        # Keys and kinds of values are told before the first fit begins; whether its model has a
-        # path, by each fit.
+        # Keys and types of values are checked before the first fit begins. Each fit checks whether
+        # its model has the paths.
         for number, case in enumerate(cases, 1):
             plan.fit(case, f"{source}, fit {number}", folder)
-        # Files are found from here.
+        # File names become relative to the current folder.
         placed = [
             {
                 name: [str(folder / file) for file in value] if name in _FILES else value
@@ -318,7 +321,7 @@ class Plan:
 
     @property
     def folder(self) -> Path:
-        """Where the table goes by default."""
+        """Default folder of the table."""
         if self.out is not None:
             return self.out
         named = self.source or self.base.source
@@ -326,11 +329,11 @@ class Plan:
 
     @property
     def columns(self) -> list[str]:
-        """What differs, in the order of the plan."""
+        """Names of the settings that vary, in the order of the plan."""
         return list(dict.fromkeys(name for case in self.cases for name in case))
 
     def fit(self, case: Case, origin: str = "the plan", folder: Path = Path()) -> FitTask:
-        """The fit of one of `cases`, which an error calls `origin`, with files from a folder."""
+        """Return the fit of one of `cases`, with files from a folder. Errors call it `origin`."""
         settings: dict[str, Any] = {}
         for name, value in case.items():
             table, _, path = name.partition(".")
@@ -345,7 +348,7 @@ class Plan:
         return self.base.on_top(fit_settings(settings, origin), **files, origin=origin)
 
     def tasks(self) -> list[Task]:
-        """The fits as tasks, one for each case: two with the same key are the same fit."""
+        """Return the fits as tasks, one for each case. Tasks with the same key are the same fit."""
         checksums = functools.cache(lambda path: tuple(checksums_of([path]).values()))
         sidecar = functools.cache(_said)
         uncertain = functools.cache(_may_be_uncertain)
@@ -353,18 +356,18 @@ class Plan:
 
 
 def _base(path: Path) -> FitTask:
-    """The fit of a definition, or that of a result, by its file or folder, with other numbers."""
+    """Return the fit of a definition, or of a result (file or folder) with changed settings."""
     if path.suffix == ".json" or path.is_dir():
         return dataclasses.replace(FitTask.again(path), resolved=None, earlier=None)
     return FitTask.load(path)
 
 
 def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
-    """The sidecar of a run, and the kind and sensors of one's own that its columns may be of."""
+    """Return the sidecar of a run, and registered models and sensors that its columns may use."""
     sidecar = sidecar_path(path)
     text = read_bytes(sidecar, RUN_BYTES).decode(errors="replace") if sidecar.exists() else ""
     try:
-        stated = read_sidecar(path).model  # which registers the model of a package
+        stated = read_sidecar(path).model  # reading it registers the model of a package
         own = [kind for kind in KINDS.values() if not kind.model and stated is None]
         sensors = classes_of_others("sensor")
         if own or sensors:
@@ -374,27 +377,27 @@ def _said(path: Path, rename: tuple[tuple[str, str], ...]) -> str:
             found += [name for name, each in sensors.items() if each.channel.name in rows]
             text = " ".join([text, *found])
     except InputError:
-        pass  # The fit says what is wrong.
+        pass  # The fit reports the error.
     return text
 
 
 def _may_be_uncertain(path: Path, rename: tuple[tuple[str, str], ...]) -> bool:
-    """Whether a run is of a model that knows of uncertain devices, and no sidecar denies them."""
+    """Return whether a run may have uncertain devices, by its model and its sidecar."""
     from ..models import model_class
 
     try:
         said = read_sidecar(path)
         kind = said.model or infer_model(read_table(path, dict(rename)).channels.values())
-    except InputError:  # The fit says what is wrong.
+    except InputError:  # The fit reports the error.
         return False
     known = said.uncertainty.defaults or bool(said.uncertainty.deviations)
     return known and kind is not None and hasattr(model_class(kind), "uncertain")
 
 
 def _task(fit: FitTask, checksums: Any, sidecar: Any, uncertain: Any) -> Task:
-    """A fit by the content of its files, which are then wherever they are."""
+    """Return a fit as a task that is identified by the content of its files, not by their paths."""
     if not fit.data:
-        raise InputError("the plan states no data: add runs to the plan or to its fit definition")
+        raise InputError("the plan gives no data: add runs to the plan or to its fit definition")
     definition = fit.definition.contents()
     settings = definition.pop("fit", {})
     for name in (*_FILES, "out"):

@@ -1,4 +1,4 @@
-"""A fit whose runs are read and whose arguments are resolved."""
+"""A fit whose runs have been read and whose settings are resolved."""
 
 import contextlib
 import dataclasses
@@ -44,20 +44,21 @@ from ._stored import check_config
 
 
 def warn(sentence: str) -> None:
-    """What becomes of complaints by default: warnings of Python."""
+    """Report a complaint as a Python warning, which is the default."""
     warnings.warn(sentence, stacklevel=2)
 
 
 @dataclasses.dataclass(frozen=True)
 class Preparation:
-    """What `FitTask.prepare` returns: all that a fit needs, before anything is evaluated.
+    """Resolved fit before any evaluation, as `FitTask.prepare` returns it.
 
     Attributes:
-        setup: the model, the runs to fit, and what is free.
+        definition: definition of the fit.
+        setup: model, runs to fit, and free parameters.
         validation: runs that the result must predict.
-        record: the task as plain data, which the result keeps.
-        held_out: what of the runs is not fitted, to judge the fit by; None where all of it is.
-        earlier: a result of the same fit, to whose starts others are added.
+        record: the task as plain data, which the result stores.
+        held_out: held-out data of the runs, or None if all data are fitted.
+        earlier: result of the same fit, to which additional starts are added, or None.
     """
 
     definition: Definition
@@ -74,13 +75,13 @@ class Preparation:
 
     @property
     def held_out_runs(self) -> tuple[Run, ...]:
-        """What is held out of the runs: only these cells are in them."""
+        """Runs that contain only the held-out cells."""
         parts = () if self.held_out is None else self.held_out.parts
         return tuple(part.held for part in parts if part.held is not None)
 
     @functools.cached_property
     def odd(self) -> tuple[Finding, ...]:
-        """What is odd in the recordings, as `giajax check` has it: rows are those of the files."""
+        """Oddities of the recordings, as in `giajax check`, with the rows of the files."""
         settings, runs = self.setup.settings, self.runs
         if settings.window_s is not None or self.held_out is not None:
             names, about = self.record["rename"], self.definition
@@ -97,19 +98,23 @@ class Preparation:
         force: bool = False,
         complain: Callable[[str], None] = warn,
     ) -> Iterator[Journal]:
-        """The journal of this fit in a folder, which no other fit may write to meanwhile.
+        """Open the journal of this fit in a folder, and lock it against other fits.
 
-        To resume goes on where it ends; force begins again over that of a fit that was cut off. A
-        sentence is complained where a line cannot be written.
+        Arguments:
+            folder: folder of the journal.
+            resume: continue where the journal ends.
+            force: start again and replace the journal of an interrupted fit.
+            complain: function that is called with a sentence if a line cannot be written.
 
         Raises:
-            InputError: another fit is writing there, the journal cannot be read or is of another
-                fit, or (without `resume` and `force`) is that of a fit that was cut off.
+            InputError: another fit is writing there, the journal cannot be read or belongs to
+                another fit, or (without `resume` and `force`) it is the journal of an interrupted
+                fit.
         """
         if self.setup.settings.optimiser is not None:
             raise InputError(
-                f"a fit by {self.setup.config['optimiser']} has no steps to record, and cannot be "
-                "resumed: omit the journal, or change the optimiser"
+                f"a fit by {self.setup.config['optimiser']} has no steps to record, so it cannot "
+                "be resumed: omit the journal, or change the optimiser"
             )
         with locked(folder):
             journal = read_journal(folder) if resume or not force else None
@@ -126,8 +131,8 @@ class Preparation:
                 if journal is not None and not journal.is_written:
                     raise InputError(
                         f"{folder} holds the journal of an interrupted fit: continue with giajax "
-                        f"fit --resume {shlex.quote(str(folder))}, give another folder, or --force "
-                        "to start again"
+                        f"fit --resume {shlex.quote(str(folder))}, give another folder, or give "
+                        "--force to start again"
                     )
                 head = {"task": dict(self.record), "config": dict(self.setup.config)}
                 made_by = {**versions(), **sources_of((self.setup.model, self.setup.loss))}
@@ -148,15 +153,15 @@ class Preparation:
         executor: Executor | None = None,
         folder: Path | None = None,
     ) -> FitResult:
-        """Fit, and predict what was held out and the runs of the validation, as `FitTask.run`.
+        """Fit, and predict the held-out data and the validation runs, as in `FitTask.run`.
 
-        A journal, an executor and its folder are those of `studies.solve_from_starts`.
+        The arguments `journal`, `executor` and `folder` are those of `studies.solve_from_starts`.
         """
         if self.setup.settings.starts == 1:
             first = None if journal is None else journal(1)
             result = solve(self.setup, progress=progress, check=check, journal=first)
         else:
-            # Where an earlier version chose other starts, all of them are fitted.
+            # If an earlier version chose other starts, all of them are fitted.
             known = has_earlier_starts(self.earlier, self.setup)
             result = solve_from_starts(
                 self.setup,
@@ -174,8 +179,8 @@ class Preparation:
                 result = self.held_out.judge(result)
             for run in self.validation:
                 errors.append(prediction_errors(result.model, run))
-        except KeyboardInterrupt:  # The fit is done, and took longer.
-            result = interrupted(result, "before its validation was complete")
+        except KeyboardInterrupt:  # The finished fit is kept, because it took longer.
+            result = interrupted(result, "before the validation was complete")
             if self.held_out is not None and not result.held_out:
                 result = self.held_out.unjudged(result)
         return dataclasses.replace(
@@ -193,13 +198,19 @@ class Preparation:
         announce: Callable[[str], None] | None = None,
         complain: Callable[[str], None] = warn,
     ) -> FitResult:
-        """The result of `run` with what is asked of a fit once it has ended.
+        """Return the result of `run` with the diagnostics that follow a fit.
 
-        That is systematic errors, where uncertainties are stated, and suspects, which may make an
-        adequate model doubtful: parameters alone, or of a fit that is not adequate choices of the
-        model, too. It is announced where it begins. The same result where nothing is asked; and,
-        with a complaint, where Ctrl-C ends it or it fails, as where the model cannot be evaluated
-        with all of its parts on.
+        They are systematic errors, if uncertainties are given, and suspects, which may make an
+        adequate model doubtful. If the fit is adequate, only parameters are tested, otherwise also
+        choices of the model. If nothing is requested, the result is unchanged. It is also
+        unchanged, with a complaint, if Ctrl-C is pressed or if a test fails, for example because
+        the model cannot be evaluated with all its parts switched on.
+
+        Arguments:
+            result: result of `run`.
+            suspects: whether to test suspects.
+            announce: function that is called with a sentence when the test begins.
+            complain: function that is called with a sentence if the test does not finish.
         """
         doubted = self.definition.fit.uncertainty
         try:
@@ -213,7 +224,7 @@ class Preparation:
                 result = with_suspects(result, self.runs, parameters_alone=adequate)
         except KeyboardInterrupt:
             complain("interrupted before fixed and omitted parameters were tested")
-        except Exception as error:  # A test that fails loses no fit.
+        except Exception as error:  # A failing test must not lose the fit.
             complain(f"fixed and omitted parameters could not be tested ({error})")
         return result
 
@@ -227,8 +238,12 @@ def prepare(
 ) -> Preparation:
     """Build the model of the runs and resolve the settings of the definition.
 
-    The record is the task as plain data; `begin` of it says where another fit ended. Starts are
-    added to those of the `earlier` result.
+    Arguments:
+        definition: definition of the fit.
+        runs: runs to fit.
+        validation: runs that the result must predict.
+        record: task as plain data. Its `begin` contains the final values of another fit.
+        earlier: result to whose starts further ones are added, or None.
     """
     begin = None if record["begin"] is None else WarmStart(**record["begin"])
     setup, held_out = (

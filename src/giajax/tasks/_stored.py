@@ -1,4 +1,4 @@
-"""What a stored result says of how it was fitted and of where it ended. Imports no JAX."""
+"""Information in a stored result on its fit and its final values. Imports no JAX."""
 
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,21 +26,21 @@ from ._journal import moved_to
 if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, RunFit
 
-# What makes two fits the same; what ended one early is none of it.
-_WORDS = {"definition": "the constants of the model", "runs": "what the sidecars state"}
+# Keys that identify a fit, with their descriptions. Limits that end a fit early are not included.
+_WORDS = {"definition": "the constants of the model", "runs": "the contents of the sidecars"}
 
 
 def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
-    """As `stored_result`, of a fit that says how it was fitted, and did not end early."""
+    """Return `stored_result` of a fit that can be repeated: it has a task and did not end early."""
     folder, record = stored_result(path)
     if optimiser := record["config"].get("optimiser"):
         raise InputError(
-            f"{folder / 'result.json'} was fitted by {optimiser}, which cannot be stated in a "
+            f"{folder / 'result.json'} was fitted by {optimiser}, which cannot be described in a "
             "file: fit it again from Python"
         )
     if not record.get("task"):
         raise InputError(
-            f"{folder / 'result.json'} does not state how to repeat the fit, because an earlier "
+            f"{folder / 'result.json'} does not describe how to repeat the fit, because an earlier "
             "version wrote it, it combines several fits, or it was fitted from Python without a "
             "task: fit the data again, or use the result as a warm start with --from"
         )
@@ -55,7 +55,7 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
 
 
 def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path) -> None:
-    """Refuse a `Setup.config` that is not that of the file of a result or a journal."""
+    """Refuse a `Setup.config` that differs from that in the file of a result or a journal."""
     resolved = plain_data(now).items()
     before = {**before, "definition": _renamed(before.get("definition") or {})}
     differing = [_WORDS.get(key, key) for key, value in resolved if before.get(key) != value]
@@ -67,7 +67,7 @@ def check_config(before: Mapping[str, Any], now: Mapping[str, Any], where: Path)
 
 
 def _renamed(definition: Mapping[str, Any]) -> dict[str, Any]:
-    """A model's constants with the keys of now, without those that are what they are by default."""
+    """Return the constants of a model with the current keys, without default values."""
     if "arm" not in definition:
         return dict(definition)
     arm = dict(definition["arm"])
@@ -80,21 +80,24 @@ def _renamed(definition: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
-    """A sentence on whether a fit that was done again gave the numbers of the stored one."""
+    """Return a sentence on whether a repeated fit gave the numbers of the stored result."""
     keys = ("parameters", "correlation", "cost", "reduced_chi_square", "history")
     now = _plain(result, *keys, "runs", "held_out")
-    # An earlier version did not say as much of an estimate.
+    # An earlier version stored fewer fields of an estimate.
     said = {name for estimate in before["parameters"].values() for name in estimate}
     for estimate in now["parameters"].values():
         for name in estimate.keys() - said:
             del estimate[name]
     same = all(now[key] == before[key] for key in keys)
-    for key, what in (("runs", "runs fitted"), ("held_out", "runs with a part held out")):
+    for key, what in (("runs", "fitted runs"), ("held_out", "runs with a part held out")):
         ours, theirs = now[key], before.get(key, [])
         if len(ours) != len(theirs):
-            return f"the fits differ: {len(ours)} {what} now, and {len(theirs)} before"
+            return (
+                f"the fits differ: the number of {what} is {len(ours)} now, but was "
+                f"{len(theirs)} before"
+            )
         for one, other in zip(ours, theirs, strict=True):
-            # Their files may be elsewhere now.
+            # Their files may have moved.
             same = same and one["channels"] == other["channels"]
             same = same and one.get("parameters", {}) == other.get("parameters", {})
     if same:
@@ -111,13 +114,17 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
-    """Where a fit, its file or its folder ended, as `giajax.fitting.WarmStart` in plain data."""
+    """Return the final values of a fit as plain data, in the form of `giajax.fitting.WarmStart`.
+
+    Arguments:
+        result: result, or its file or folder.
+    """
     if isinstance(result, str | Path):
         record = stored_result(result)[1]
     else:
         record = {"model": result.model.kind, **_plain(result, "parameters", "config", "runs")}
     fixed = {path.partition("[")[0] for path in record["config"].get("fix", {})}
-    # Another recording has another camera.
+    # The nuisance parameters are omitted, because another recording may have another camera.
     nuisances = record["config"].get("nuisances", ())
     values = {
         path: estimate["value"]
@@ -133,13 +140,13 @@ def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:
 
 
 def _plain(result: "FitResult", *names: str) -> dict[str, Any]:
-    """Some fields of a result as its file has them."""
+    """Return some fields of a result in the form of its file."""
     plain: dict[str, Any] = plain_data({name: getattr(result, name) for name in names})
     return plain
 
 
 def without(beginning: Mapping[str, Any], paths: Iterable[str]) -> dict[str, Any]:
-    """A beginning without the values that others have replaced, of the whole or of an element."""
+    """Return a warm start without values that others replace, for whole parameters or elements."""
     replaced = set(paths)
     kept = {
         path: value
@@ -156,19 +163,19 @@ def fitted_runs(
     rename: Mapping[str, str] | None = None,
     folder: Path | None = None,
 ) -> list[Run]:
-    """The runs that a result was fitted to, as they were: channels, windows and what was stated.
+    """Return the runs to which a result was fitted, with their channels, windows and definitions.
 
-    They are in the order of the result, without what was held out of them.
+    They are in the order of the result, without the held-out data.
 
     Arguments:
-        result: of `giajax.load_result`.
-        data: the files, where they lie elsewhere now; in any order.
-        rename: the files' column name -> the name it has in the column table; by default as they
-            were called in the fit.
-        folder: of the result, beside which a file that has moved is looked for, by its checksum.
+        result: result from `giajax.load_result`.
+        data: files, if they have moved, in any order.
+        rename: map from the column names of the files to the names in the column table. The default
+            is that of the fit.
+        folder: folder of the result, near which a moved file is sought by its checksum.
 
     Raises:
-        InputError: a file is missing or another one; or a run was made in memory.
+        InputError: a file is missing or has changed, or a run was created in memory.
     """
     parts = _read_again(result, result.runs, "runs", data, rename, folder)
     return [run for part in parts if (run := part.fitted) is not None]
@@ -181,7 +188,10 @@ def held_out_runs(
     rename: Mapping[str, str] | None = None,
     folder: Path | None = None,
 ) -> list[Run]:
-    """What was held out of a fit, as `fitted_runs`: of `result.held_out`, these cells alone."""
+    """Return the held-out cells of a fit as runs, in the order of `result.held_out`.
+
+    The arguments are those of `fitted_runs`.
+    """
     parts = _read_again(result, result.held_out, "hold_out", data, rename, folder)
     return [run for part in parts if (run := part.held) is not None]
 
@@ -194,11 +204,11 @@ def _read_again(
     rename: Mapping[str, str] | None,
     folder: Path | None,
 ) -> list[SplitRun]:
-    """The runs of some records, each with what a key of the configuration of the fit says of it."""
+    """Read the runs of some records, restricted as the configuration of the fit specifies."""
     several = result.config.get(key, [])
     if len(records) != len(several):
         raise InputError(
-            "the result does not state the fitted data of all its runs: fit the data again"
+            "the result does not identify the fitted data of all its runs: fit the data again"
         )
     read: dict[tuple[str, str], Run] = {}
     renamed = dict(rename or result.task.get("rename", {}))
@@ -236,7 +246,7 @@ def _read_again(
         if "channels" in about:
             run = observing(run, about["channels"])
         if run.times is not None and about.get("rows") not in (None, len(run.times)):
-            # The window that the fit had.
+            # The window of the fit.
             first = int(np.searchsorted(run.times, about["from_s"] - 1e-9))
             run = rows_of(run, slice(first, first + int(about["rows"])), record.name)
         parts.append(split_run(run, about.get("held_from", {})))

@@ -1,4 +1,4 @@
-"""A sweep: the fits of a plan, each once, and their table."""
+"""Sweep: the fits of a plan, each made once, and their table."""
 
 import contextlib
 import io
@@ -23,7 +23,7 @@ from ._plan import Case, Plan
 if TYPE_CHECKING:
     from ..fitting import FitResult, HeldOut, PredictionErrors, RunFit
 
-# The columns of a table, which has one row a fit.
+# Columns of a table, which has one row for each fit.
 _BEFORE: dict[str, Any] = {"key": pl.String, "status": pl.String, "message": pl.String}
 _AFTER: dict[str, Any] = {
     "cost": pl.Float64,
@@ -38,18 +38,23 @@ _AFTER: dict[str, Any] = {
 def table(
     columns: Sequence[str], cases: Sequence[Case], outcomes: Sequence[Outcome]
 ) -> pl.DataFrame:
-    """The rows of fits, in the order of the plan, whose `columns` are what differs between them.
+    """Return the table of fits in the order of the plan.
 
-    Key, status and message; what differs; `value.PATH` and `error.PATH` of each parameter that a
-    fit freed; how it went; and `validation.CHANNEL of RUN` and `held_out.CHANNEL of RUN`. What a
-    fit does not have is null.
+    Its columns are key, status and message; the settings that vary; `value.PATH` and `error.PATH`
+    of each parameter that a fit freed; statistics of the fit; and `validation.CHANNEL of RUN` and
+    `held_out.CHANNEL of RUN`. Missing values are null.
+
+    Arguments:
+        columns: names of the settings that vary.
+        cases: values of these settings for each fit.
+        outcomes: outcome of each fit.
     """
     kinds = {name: _kind([case.get(name) for case in cases]) for name in columns}
     rows: list[dict[str, Any]] = []
     estimates: dict[str, Any] = {}
     predicted: dict[str, Any] = {}
     for case, outcome in zip(cases, outcomes, strict=True):
-        # How a fit ended is more than that it did.
+        # The status of the fit replaces that of the task.
         row = {name: getattr(outcome, name) for name in (*_BEFORE, "seconds", "worker")}
         for name, kind in kinds.items():
             row[name] = _as_text(case.get(name)) if kind is pl.String else case.get(name)
@@ -68,7 +73,7 @@ def table(
 
 
 def _kind(values: Sequence[Any]) -> Any:
-    """The type of a column: numbers, true or false, else text."""
+    """Return the type of a column: numbers, Booleans, or else text."""
     given = [value for value in values if value is not None]
     if all(isinstance(value, bool) for value in given):
         return pl.Boolean
@@ -78,7 +83,7 @@ def _kind(values: Sequence[Any]) -> Any:
 
 
 def _as_text(value: Any) -> str | None:
-    """Text as it is, and what is not a text as JSON."""
+    """Return text unchanged, and any other value as JSON."""
     return value if isinstance(value, str | None) else json.dumps(value)
 
 
@@ -91,12 +96,19 @@ def fitted(
     added: Mapping[str, str] | None = None,
     nuisances: bool | None = None,
 ) -> dict[str, Any]:
-    """A task: a fit without the checks that end a single one: gradient, tolerance and suspects.
+    """Run a fit as a task, without the checks of a single fit: gradient, tolerance and suspects.
 
-    The inputs are the name of each file of `data` and `validation` with the SHA-256 of its content
-    and of its sidecar, None where there is none; their paths have the same order. What was `added`
-    are the plug-ins and the sources of registered classes that it names, with their SHA-256.
-    Where something of the runs may be uncertain, the key says so: earlier fits held it.
+    Arguments:
+        definition: definition of the fit.
+        inputs: for `data` and `validation`, the name of each file with the SHA-256 of its content
+            and of its sidecar, None if there is none.
+        rename: map from the column names of the files to the names in the column table.
+        begin: final values of another fit, or None.
+        paths: paths of the files, in the same order as in `inputs`.
+        added: plug-ins, and sources of the registered classes that the fit names, with their
+            SHA-256.
+        nuisances: whether a run may have nuisance parameters. It is only a part of the key of the
+            task, because earlier versions held them.
     """
     del nuisances
     check_precision()
@@ -131,7 +143,7 @@ def fitted(
 
 
 def _prediction(result: "FitResult") -> dict[str, float | None]:
-    """RMSE of what was not fitted, in the unit of the recording, by channel and run."""
+    """Return the RMSE of data that were not fitted, in their units, by channel and run."""
     parts: dict[str, Sequence[PredictionErrors | HeldOut]]
     parts = {"validation": result.validation, "held_out": result.held_out}
     return {
@@ -143,18 +155,18 @@ def _prediction(result: "FitResult") -> dict[str, float | None]:
 
 
 def _names(runs: "Sequence[RunFit | PredictionErrors | HeldOut]") -> list[str]:
-    """Of each run; of several that are called the same, with their paths."""
+    """Return the name of each run, with its path if several have the same name."""
     several = Counter(run.name for run in runs)
     return [run.name if several[run.name] == 1 else f"{run.name} ({run.path})" for run in runs]
 
 
 def check_precision() -> None:
-    """Refuse 32-bit: what is kept of a fit does not say how precise it is."""
+    """Refuse 32-bit precision, because stored fits do not contain their precision."""
     import jax
 
     if not jax.config.read("jax_enable_x64"):
         raise InputError(
-            "JAX computes in 32-bit, but a sweep needs 64-bit: call "
+            "JAX computes in 32-bit precision, but a sweep requires 64-bit precision: call "
             'jax.config.update("jax_enable_x64", True) first'
         )
 
@@ -174,26 +186,26 @@ def sweep(
     progress: Callable[[Outcome, int, int], None] | None = None,
     force: bool = False,
 ) -> "pl.DataFrame":
-    """Fit one definition many times: with other values, runs or options each time.
+    """Fit one definition many times, with different values, runs or options each time.
 
-    Each fit has a file of its own as soon as it is done. The same call goes on after a crash or
-    Ctrl-C, and after the plan has grown. Without an executor the fits are done here, which wants
-    64-bit: call `jax.config.update("jax_enable_x64", True)` first.
+    Each fit is written to its own file when it is finished. The same call continues after a crash
+    or Ctrl-C, and after the plan has grown. Without an executor, the fits run in this process,
+    which requires 64-bit precision: call `jax.config.update("jax_enable_x64", True)` first.
 
     Arguments:
-        plan: the file of a plan (`docs/sweep.md`), the content of one, or a `Plan`.
-        out: folder for `sweep.parquet` and the fits; by default what the plan says, else
-            `giajax-out/` and its name.
-        executor, progress: as of `giajax.runtime.execution.run_tasks`.
-        force: write over the table of another plan.
+        plan: file of a plan (`docs/sweep.md`), the content of such a file, or a `Plan`.
+        out: folder for `sweep.parquet` and the fits. The default is the folder of the plan,
+            otherwise `giajax-out/` and its name.
+        executor, progress: as in `giajax.runtime.execution.run_tasks`.
+        force: overwrite the table of another plan.
 
     Returns:
-        The table, one row a fit in the order of the plan. A fit that could not be done is a row
-        with its message; one that Ctrl-C came before has the status "stopped".
+        The table, with one row for each fit in the order of the plan. A fit that failed has a row
+        with its message. A fit that Ctrl-C prevented has the status "stopped".
 
     Raises:
-        InputError: a plan that cannot be, a file that is missing, 32-bit, or a folder that another
-            sweep is writing to, that holds the table of another plan, or that cannot be written.
+        InputError: an invalid plan, a missing file, 32-bit precision, or a folder that another
+            sweep is writing to, that contains the table of another plan, or that cannot be written.
 
     Example:
         >>> import giajax
@@ -220,7 +232,7 @@ def sweep(
 
 
 def _check_none_is_lost(path: Path, keys: set[str]) -> None:
-    """Refuse to write over a table with fits that the plan does not have."""
+    """Refuse to overwrite a table that contains fits which the plan does not have."""
     if not path.exists():
         return
     before: set[str] = set()

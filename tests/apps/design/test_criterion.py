@@ -1,4 +1,4 @@
-"""What a criterion is, where markers are chosen, and limits: without an arm."""
+"""Design criteria, the selection of markers, and command limits, without an arm."""
 
 import itertools
 import math
@@ -45,7 +45,7 @@ def test_c_of_a_difference_has_the_covariance_in_it():
 
 
 def test_a_is_the_trace_of_the_covariance_and_not_of_its_inverse():
-    """Over the parameters of interest, with the others free (Pyomo.DoE had the inverse)."""
+    """The trace is over the parameters of interest, others being free (Pyomo.DoE inverted it)."""
     found = information()
     value, _ = Criterion("A", (1.0, 0.0, 1.0, 0.0)).of_information(found)
     inverse = np.linalg.inv(found)
@@ -54,7 +54,7 @@ def test_a_is_the_trace_of_the_covariance_and_not_of_its_inverse():
 
 
 def test_d_orders_experiments_alike_in_any_parameters():
-    """Other parameters of the same span add the same constant for every experiment."""
+    """A linear change of the parameters adds the same constant for every experiment."""
     one, other = information(3), information(3)
     turn = RANDOM.normal(size=(3, 3))
     criterion = Criterion("D", (1.0, 1.0, 1.0))
@@ -96,7 +96,7 @@ def test_what_nothing_responds_to_weighs_nothing():
 
 
 def test_what_the_data_do_not_tell_is_not_determined():
-    """They tell the sum of two and nothing else of them, and a third to 1000 times its scale."""
+    """The data determine only the sum of two parameters, and a third one very poorly."""
     jacobian = np.asarray([[10.0, 10.0, 0.0], [0.0, 0.0, 1e-3]])
     found = jacobian.T @ jacobian
     assert Criterion("c", (2.0, 2.0, 0.0)).is_determined(found)
@@ -112,7 +112,7 @@ def test_what_the_data_do_not_tell_is_not_determined():
 
 
 def test_what_makes_no_criterion_is_one_sentence():
-    with pytest.raises(InputError, match="'E' is not a criterion: use one of: c, A, D"):
+    with pytest.raises(InputError, match="'E' is not a criterion: use one of c, A, D"):
         Criterion("E", (1.0,))
     with pytest.raises(InputError, match="no parameter to estimate is given"):
         Criterion("A", (0.0, 0.0))
@@ -150,7 +150,7 @@ LIMITS = Limits(joints=(1, 3), angle=0.5, rate=0.3, duration=12.0)
 
 
 def test_no_series_leaves_the_limits():
-    """Also where far too much is wanted, and after a step of the optimiser's rounding."""
+    """This also holds for series far outside the limits, and after rounding by the optimiser."""
     series = CommandSeries.of(LIMITS, 7)
     wanted = [5 * RANDOM.normal(size=series.size), *starts_of(series, 9), np.ones(series.size)]
     for numbers in wanted:
@@ -158,7 +158,7 @@ def test_no_series_leaves_the_limits():
         assert np.all(np.abs(table) <= LIMITS.angle)
         rates = np.diff(table, axis=0) / np.diff(series.times)[:, None]
         assert np.all(np.abs(rates) <= LIMITS.rate)
-    # Limits are reached, not only respected.
+    # The limits are reached, so the test is not trivial.
     assert np.max(np.abs(table)) == pytest.approx(LIMITS.angle)
     assert np.max(rates) == pytest.approx(LIMITS.rate, rel=0.3)
     inside = series.within(0.01 * np.ones(series.size))
@@ -190,7 +190,7 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
             return 2 * (numbers - wanted)
 
         def choose(self, numbers):
-            """Nothing: there is one body."""
+            """Do nothing, because there is only one body."""
 
     def stop(evaluation):
         told.append(evaluation)
@@ -226,7 +226,7 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
         ({"angle": 0.0}, "the largest angle is 0: give"),
         ({"angle": 1e300}, "deg: give at most 180 deg"),
         ({"rate": math.inf}, "the largest rate is inf: give"),
-        ({"joints": ()}, "no joint is to move"),
+        ({"joints": ()}, "no joint is given"),
         ({"joints": (1, 1)}, "given twice"),
         ({"duration": 0.25}, "does not give a whole number"),
         ({"duration": 1e9}, "rows: shorten"),

@@ -1,4 +1,4 @@
-"""The next experiment of a short arm: one compiled program for all of it."""
+"""The next experiment of a short arm; all tests share one compiled program."""
 
 import dataclasses
 import json
@@ -31,7 +31,7 @@ from giajax.studies import expected_errors
 EARLIER = Path(__file__).parents[2] / "earlier" / "arm"
 C = Criterion("c", (1.2, 0.0))
 DRAG, STIFFNESS = "air.drag_coefficient", "joints.pitch_stiffness"
-# What notebooks/05_next_experiment.ipynb and docs/design.md have, too: one program is compiled.
+# notebooks/05_next_experiment.ipynb and docs/design.md use the same sizes, so one program suffices.
 SMALL = ["--links", "2", "--duration", "4", "--knots", "4", "--free", STIFFNESS]
 QUICK = ["--solver", "heun", "--tolerance", "1e-4"]
 
@@ -50,7 +50,7 @@ def asked(source=None, **changes):
 
 
 def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
-    """The files are read back; the information is compared with differences of predictions."""
+    """The files are read back, and the information is compared with finite differences."""
     out = tmp_path / "next"
     search = ["--starts", "4", "--follow", "1", "--max-iterations", "5", "--markers", "1"]
     words = [
@@ -74,7 +74,7 @@ def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     assert stored["design"]["markers"] == ["link02"]
     assert stored["draws"]["count"] == 2
     assert stored["draws"]["smallest"] < stored["draws"]["largest"]
-    # An operator's file: the same motion as that of the corners, within the limits.
+    # The operator's file gives the same motion as the corners of the command, within the limits.
     run = read_run(out / "command.csv")
     rows = run.commands["joint01_command"]
     corners = stored["design"]["corners"]
@@ -91,7 +91,7 @@ def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
         np.interp((0.55, 2.05, 3.95), run.times, rows),
         atol=1e-9,
     )
-    # Nothing is written over.
+    # An existing file is not overwritten.
     assert main(words) == 2
     capsys.readouterr()
 
@@ -150,7 +150,7 @@ def test_what_is_known_badly_is_drawn_within_a_factor_of_four():
 
 
 def test_draws_that_cannot_be_simulated_are_left_out():
-    """But for the present values, without which there is no answer."""
+    """The draw with the current values must not be left out."""
     question = asked()
     series = CommandSeries.of(question.limits, 4)
     uncertain = draws(question.parameters, question.values, question.deviations, np.eye(2), 4)
@@ -165,7 +165,7 @@ def test_draws_that_cannot_be_simulated_are_left_out():
 
 
 def test_what_a_fit_does_not_tell_is_not_known():
-    """Neither what it held, nor what it has no error of."""
+    """Parameters that the fit held fixed, or that have no standard error, get a default error."""
     result = giajax.load_result(EARLIER / "result.json")
     estimate = dataclasses.replace(result.parameters[DRAG], standard_error=None)
     loose = dataclasses.replace(result, parameters={**result.parameters, DRAG: estimate})
@@ -177,7 +177,7 @@ def test_what_a_fit_does_not_tell_is_not_known():
 
 
 def test_a_result_and_its_definition_ask_the_same(tmp_path):
-    """Of what is free and held, what follows from others, the start and the wind."""
+    """Free and held parameters, ties, the initial values and the wind are the same."""
     stored = json.loads((EARLIER / "result.json").read_text())
     ties = {"joints.yaw_stiffness": f"2 * {STIFFNESS}"}
     stored["config"]["ties"] = ties
@@ -202,7 +202,7 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
     assert one.definition["wind"] == other.definition["wind"]
     for path in ("joints.damping", "air.added_mass_coefficient", "camera.origin[0]"):
         assert get(one.experiment.model, path) == get(other.experiment.model, path), path
-    # What is free by default is not, where the definition holds it.
+    # A parameter that is free by default is held if the definition holds it.
     (tmp_path / "run_fit.toml").write_text(
         text.replace('free = ["air.drag_coefficient", "camera.origin[2]"]', "")
     )
@@ -212,7 +212,7 @@ def test_a_result_and_its_definition_ask_the_same(tmp_path):
 
 
 def test_priors_are_information():
-    """Of the first state of the run, too."""
+    """This includes priors of the initial state of the run."""
     prior = giajax.Prior(1.2, deviation=0.06)
     known = asked(priors={DRAG: prior}).known
     np.testing.assert_allclose(known, np.diag([(1.2 / 0.06) ** 2, 0.0]))

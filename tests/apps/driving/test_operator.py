@@ -1,4 +1,4 @@
-"""What an operator does, and what joints are commanded."""
+"""Operator commands, and the joint commands that follow from them."""
 
 import gzip
 import os
@@ -90,7 +90,7 @@ def test_a_slider_and_a_preset_are_approached_no_faster_than_allowed(operator):
     rates = np.rad2deg(np.diff(commands, axis=0)) / STEP
     assert rates.max() == pytest.approx(4.0)
     assert_allclose(np.rad2deg(commands[-1]), [20.0, 1.0, 0.0], atol=1e-12)
-    # A preset that moves all is as one that moves some, and a stick takes over.
+    # A preset of all joints acts like one of some joints, and a stick overrides it.
     operator.receive({"type": "preset", "name": "straight"}, now)
     pad(operator, now, 0.0, 1.0)
     for _ in range(5):
@@ -139,7 +139,7 @@ def test_everything_stops_at_once(operator, happens, why):
     now = 2 * STEP if why != SILENT else 0.31
     held = operator.advance(now, STEP)
     assert operator.stopped == why
-    # For as long as nothing is moved, whatever is said.
+    # Messages do not count as input while nothing is moved.
     for index in range(20):
         operator.receive({"type": "alive"}, now + index * STEP)
         assert np.array_equal(operator.advance(now + index * STEP, STEP), held)
@@ -191,7 +191,7 @@ def test_the_usual_pad_bends_base_and_tip():
     for _ in range(30):
         after = operator.advance(0.1, STEP)
     assert np.flatnonzero(after).tolist() == [0, 2, 4]
-    assert after[0] > 0  # forwards on the stick lifts the arm
+    assert after[0] > 0  # pushing the stick forwards lifts the arm
     tips = np.flatnonzero(usual.rates({3: 1.0, 2: 1.0}, 20))
     assert tips.tolist() == list(range(14, 20))
     assert PadMapping.usual(1).rates({1: -1.0}, 1) > 0
@@ -226,9 +226,9 @@ def test_messages_that_say_nothing(operator, message, said):
             "axis 0 refers to joint 4, but the arm has only 3 joints: correct the number",
         ),
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
-        ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number from 0"),
+        ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number of at least 0"),
         ('preset = "up"', 'preset = "down"', "button 0 selects 'down', which is not a preset"),
-        # The one of the same button behind it does not hide it.
+        # The second entry for the same button does not hide it.
         (
             '{button = 0, preset = "up"}',
             '{button = 0, preset = "down"}, {button = 0, preset = "up"}',
@@ -277,7 +277,7 @@ def test_tables_of_a_pad_that_are_none(tmp_path, text, said):
 
 
 def test_what_is_no_file_of_a_pad_is_not_opened(tmp_path):
-    """A pipe made it wait, a device filled the memory, and a .gz was unpacked."""
+    """A pipe blocked the reader, a device filled the memory, and a .gz file was unpacked."""
     path = tmp_path / "pad.csv"
     path.symlink_to("/dev/zero")
     with pytest.raises(InputError, match="is a device, but must be a file"):

@@ -1,4 +1,4 @@
-"""Twenty links, thirty poses a second, and the page open: in step with the clock, and prompt."""
+"""Twenty links at thirty poses per second with an open page: synchronous and without delay."""
 
 import time
 
@@ -11,7 +11,7 @@ from browsing import opened
 from giajax.apps.driving import Cockpit, Session, TipCamera
 from giajax.models import ArmModel
 
-# What the page shows, and when.
+# The poses that the page shows, with their times.
 SEEN = """
 window.seen = []; window.pressed = [];
 const shownBefore = show;
@@ -21,7 +21,7 @@ show = (pose) => {
 };
 """
 
-# A stick that is pressed, let go, pressed the other way, and let go.
+# A stick is pressed, released, pressed in the other direction, and released.
 SWUNG = """
 let turn = 0;
 setInterval(() => {
@@ -35,7 +35,7 @@ setInterval(() => {
 @pytest.mark.parametrize(
     ("seconds", "share", "within", "rate"),
     [
-        # Beside other tests, on machines that do much else.
+        # Limits for a machine with other load.
         pytest.param(20, 0.1, 0.5, 5, marks=pytest.mark.slow),
         pytest.param(720, 0.01, 0.1, 29, marks=pytest.mark.long),
     ],
@@ -49,7 +49,7 @@ def test_the_page_is_in_step_with_the_clock(seconds, share, within, rate, browse
             page.wait("document.querySelectorAll('#joints .row').length == 20")
             page.evaluate(PAD)
             page.evaluate(SEEN)
-            # The first pose may be a while in coming on a machine that does much else.
+            # The first pose may be late on a machine with other load.
             page.wait("window.seen.length > 0")
             page.evaluate(SWUNG)
             time.sleep(seconds)

@@ -1,4 +1,4 @@
-"""A drive: in time with its clock, as the simulation of what was commanded, and as a run."""
+"""A drive: it follows the clock, agrees with the simulation, and can be saved as a run."""
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ def model():
 
 
 def raises(error):
-    """A function that raises an error."""
+    """Return a function that raises an error."""
 
     def function(*_, **__):
         raise error
@@ -43,7 +43,7 @@ def raises(error):
 
 
 def pad(duration, rows=20):
-    """Sticks that go to and fro, and a button at the end."""
+    """Return sticks that move to and fro, and a button that is pressed at the end."""
     times = np.arange(round(duration * rows)) / rows
     late = (times > 0.8 * duration).astype(float)
     axes = {"axis0": np.sin(times), "axis1": -np.cos(times / 2), "axis3": 0.7 * np.sin(2 * times)}
@@ -60,7 +60,7 @@ def test_a_replay_is_the_simulation_of_its_commands(model):
     motion = simulate(model.arm, command, record.times, **about)
     tip = jax.jit(jax.vmap(lambda angles: tip_position(model.arm, angles)))
     assert np.linalg.norm(tip(record.angles) - motion.tip, axis=1).max() < 1e-6
-    # It did move.
+    # Check that the arm moved.
     assert np.linalg.norm(np.ptp(motion.tip, axis=0)) > 0.3
 
 
@@ -68,16 +68,16 @@ def test_it_keeps_step_with_the_clock(model):
     session = Session(model)
     assert session.tick(100.0).time == 0.0
     assert session.tick(100.0 + 0.5).time == pytest.approx(0.5)
-    # In steps that are no intervals.
+    # The steps are not multiples of the interval.
     for index in range(1, 101):
         pose = session.tick(100.5 + index * 0.011)
     assert pose.time == pytest.approx(1.6, abs=session.interval)
     assert pose.lost == 0
-    # What is too late is left out, and said.
+    # Time that cannot be caught up is skipped, and reported.
     pose = session.tick(110.0)
     assert pose.lost == pytest.approx(110.0 - 101.6, abs=2 * session.interval)
     assert session.tick(110.5).time == pytest.approx(2.1, abs=3 * session.interval)
-    # Not all at once, where somebody watches; a page that is gone is gone by the clock.
+    # `most` limits the steps while a page waits. The timeout of a lost page follows the clock.
     before = session.tick(110.5).time
     session.receive({"type": "joint", "joint": 1, "deg": 60.0}, 110.5)
     pose = session.tick(111.2, most=2)
@@ -104,7 +104,7 @@ def test_gusts_are_switched(model):
     session.receive({"type": "gusts", "on": False}, 0.0)
     assert not np.any(session.tick(0.2).wind)
     session.receive({"type": "gusts", "on": True}, 0.2)
-    # Beyond their end they begin again.
+    # After their end, the gusts start again.
     for second in np.arange(0.4, 7.5, 0.5):
         pose = session.tick(float(second))
     expected = wind.at(np.array([pose.time % 4.9]))["wind_y"][0]
@@ -133,10 +133,10 @@ def test_what_joints_remember_is_left_out():
 
 
 def test_compensated_commands_undo_a_joints_hysteresis():
-    """One sample after the other as all of them at once, in each joint by itself."""
+    """Compensation sample by sample equals compensation of the whole command, for each joint."""
     operator = PrandtlIshlinskii(weights=[0.3, 0.2], thresholds=[0.02, 0.1])
     channel = Channel.named("joint01_command")
-    # The inverse is an operator of the same kind.
+    # The inverse is an operator of the same type.
     inverse, state = operator.inverse(), None
     compensator = Compensator(inverse, state, 0.0, (-1.0, 1.0), channel)
     compensation = Compensation(compensator, 2)
@@ -201,7 +201,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert_allclose(run.values["wind_y"], 0.1)
     assert np.isfinite(run.values["link03_z"]).mean() == pytest.approx(1 / 3, abs=0.01)
     assert run.noise("link03_z") == 0.01
-    # What cannot be saved stays as it was driven.
+    # If a drive cannot be saved, its temporary file is kept.
     with monkeypatch.context() as full:
         full.setattr("giajax.cli._drive.write_and_say", raises(InputError("no")))
         assert main([*words]) == 2
@@ -215,7 +215,7 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     (tmp_path / "pad.csv").write_text("time_s,button0\n0,1\n")
     assert main(words) == 2
     assert "has no column for a pad axis" in capsys.readouterr().err
-    # Another spelling of a number would be read by no name, or make room for what is not there.
+    # Another spelling of a number would never be read, or would create unused columns.
     for name in ("axis00", "axis256", "axis٣", "axis-1", "axis1_0", "button"):
         (tmp_path / "pad.csv").write_text(f"time_s,axis0,{name}\n0,0,0\n1,0,0\n")
         with pytest.raises(
@@ -229,8 +229,24 @@ def test_a_drive_is_saved_as_a_run(tmp_path, monkeypatch, capsys):
     assert error.count("\n") == 1
 
 
+def test_another_drive_begins_as_the_first_did(model):
+    table, drives = pad(4.0), []
+    wind = gusts([0.0, 0.3, 0.0], intensity=0.3, length_scale=5.0, duration=5.0)
+    session = Session(model, gusts=wind)
+    for _ in range(2):
+        replay(session, table, until=4.0)
+        drives.append(session.restart())
+        assert session.time == 0
+        assert len(session.record) == 1
+    for name in ("times", "commands", "angles", "winds"):
+        first, second = (getattr(each, name) for each in drives)
+        assert len(first) == 121
+        np.testing.assert_array_equal(first, second)
+    assert drives[0].duration == pytest.approx(4.0)
+
+
 def test_rows_that_a_full_disk_does_not_take_are_written_later(model, tmp_path, monkeypatch):
-    """Nothing is torn meanwhile, and it is said once."""
+    """No row is truncated, and the problem is reported once."""
     session, said = Session(model), []
     path = tmp_path / "unfinished.csv"
     unfinished = Unfinished(session.record, path, complain=said.append)
@@ -255,7 +271,7 @@ def test_rows_that_a_full_disk_does_not_take_are_written_later(model, tmp_path, 
 
 @pytest.mark.slow
 def test_a_drive_gives_the_arm_back():
-    """Drag and stiffness of the arm that was driven, from a camera's view of it."""
+    """A fit to a camera recording of the drive finds the true drag and stiffness."""
     truth = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 4.0, "joints.damping": 0.5}
     model = ArmModel(giajax.replace(takeichi_20m(4, parameters=STIFF), truth))
     session = Session(model)

@@ -1,4 +1,4 @@
-"""The Bouc-Wen benchmark: what is determined is found, and a sweep is predicted to the noise."""
+"""The Bouc-Wen benchmark: identifiable parameters are found, and a sweep is predicted."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ import pytest
 from giajax import fit, model_for, predict
 from giajax.apps.experiments import NOISE, bouc_wen_benchmark, decibels, multisine
 
-# 30 % off, upwards and downwards.
+# Initial guesses that are 30 % too large or too small.
 START = {
     "mass": 1.3,
     "damping": 0.7,
@@ -58,7 +58,7 @@ def test_it_flags_the_collinear_parameters_by_itself(result):
     ):
         assert result.parameters[path].standard_error is None
         assert result.parameters[path].remark == (
-            f"not determined alone: only a combination with {others} is"
+            f"not determined individually: only a combination with {others} is"
         )
     assert not {"beta", "gamma", "delta"} & set(result.correlation.parameters)
 
@@ -85,5 +85,5 @@ def test_it_predicts_a_sweep_that_it_did_not_see(result, benchmark):
 
 
 def predicted_sweep(result, run):
-    """What the fitted model predicts; the sweep is no period of a band-limited signal."""
+    """Predict the sweep, which is not a period of a band-limited signal."""
     return predict(dataclasses.replace(result.model, interpolation="linear"), run)["output"]

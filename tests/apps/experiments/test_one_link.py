@@ -1,4 +1,4 @@
-"""The 1-link experiment: the protocol, the simulated joint, and what compensation brings."""
+"""The 1-link experiment: the protocol, the simulated joint, and the effect of compensation."""
 
 from types import SimpleNamespace
 
@@ -26,7 +26,7 @@ def test_the_protocol_is_the_papers():
     assert set(np.abs(np.diff(plan.target))) == {1.0}
     turns = plan.target[1:-1][np.diff(plan.target)[1:] * np.diff(plan.target)[:-1] < 0]
     assert turns.tolist() == [60, -60, 60, -60]
-    # The same again is measured: 0, 60, -60, 0.
+    # The second repetition is measured: 0, 60, -60, 0.
     assert np.count_nonzero(plan.measured) == 241
     assert plan.target[plan.measured][[0, 60, 180, 240]].tolist() == [0, 60, -60, 0]
     held = np.diff(plan.times)
@@ -46,12 +46,12 @@ def test_the_joint_snaps_through_a_gap():
     ahead, behind = joint.gap
     assert not np.any((angles > -0.97 * behind) & (angles < 0.97 * ahead))
     assert np.max(np.abs(np.diff(angles))) > 0.95 * (ahead + behind)
-    # At rest, each branch is a function of the drive, and increases with it.
+    # At rest, each branch is an increasing function of the drive.
     drive = np.linspace(-60, 60, 1001)
     settled = joint.rest_angles(drive)
     assert np.all(np.diff(settled) > 0)
     assert settled[[0, -1]] == pytest.approx([-60, 60], abs=2.5)
-    # A drive within the snap leaves it where it is.
+    # A drive below the snap-through limit does not change the branch.
     assert joint.rest_angles(np.asarray([5.0, -0.9 * joint.snap]))[1] > 0
     assert joint.rest_angles(np.asarray([-5.0, 0.9 * joint.snap]))[1] < 0
 
@@ -89,7 +89,7 @@ def test_without_compensation_it_is_as_far_off_as_the_prototype(study):
     print(f"none: mean {none.mean:.2f}, largest {none.largest:.2f} deg")
     assert none.mean == pytest.approx(11, abs=1)
     assert none.largest == pytest.approx(30, abs=5)
-    # What the camera adds is removed: the median error is 0.
+    # The offset of the camera is removed, so the median error is 0.
     assert np.median(none.errors) == pytest.approx(0, abs=1e-9)
     assert study.offset == pytest.approx(SimulatedJoint().inclination, abs=0.5)
 

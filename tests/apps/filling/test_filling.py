@@ -1,4 +1,4 @@
-"""An arm that is filled: closed forms, networks, conservation, and what every setting changes."""
+"""Filling an arm: closed forms, networks, conservation, and the effect of every setting."""
 
 import functools
 
@@ -21,7 +21,7 @@ FLOW = 61e-3 / 60
 
 @functools.cache
 def small(kind="flow", **values):
-    """Three links, and what fills them within minutes."""
+    """Return three links and a supply that fills them within minutes."""
     made = Filling(arm=takeichi_20m(3), supply=Supply(kind=kind))
     return replace(made, {path.replace("__", "."): value for path, value in values.items()})
 
@@ -37,7 +37,7 @@ def paper():
 
 
 def test_one_bag_is_full_after_its_volume_over_the_flow():
-    """To 1e-9, and in proportion on the way; a link, and three that share their gas."""
+    """Within 1e-9, and proportional to time; for one link, and for three with equal pressure."""
     for links, shared in ((1, ()), (3, ((1, 2, 3),))):
         found = fill(Filling(arm=takeichi_20m(links), shared=shared))
         expected = links * LINK / FLOW
@@ -53,12 +53,12 @@ def test_one_bag_is_full_after_its_volume_over_the_flow():
 
 @pytest.mark.parametrize("kind", ["flow", "regulator", "bottle"])
 def test_helium_is_conserved(kind):
-    """What was fed is what is in the links, at every time; of a bottle what it has lost, too."""
+    """The fed helium equals that in the links at every time, and that lost by a bottle."""
     values = {"supply__nozzle_diameter": 2e-4} if kind == "bottle" else {}
     found = filled(kind, **values)
     assert found.finished
     assert found.imbalance < 1e-10
-    # The flow, integrated by itself, is what was fed: it is no more than a sum over many rows.
+    # Compare with the sum of the flow over many rows, which is less accurate.
     rows = np.diff(found.times) * (found.flow[1:] + found.flow[:-1]) / 2
     assert rows.sum() * DENSITY == pytest.approx(found.supplied[-1], rel=1e-5)
     if kind == "bottle":
@@ -69,13 +69,13 @@ def test_helium_is_conserved(kind):
 
 
 def test_the_paper_s_arm_is_filled_in_its_time():
-    """1.40 m^3 at 61 l/min are 22.9 min; the gas that ports press into the bags takes the rest."""
+    """1.40 m^3 at 61 l/min take 22.9 min; the compressed gas in the bags takes the rest."""
     found = paper()
     assert np.sum(np.asarray(found.filling.volume)) == pytest.approx(1.3996, abs=1e-4)
     assert found.duration / 60 == pytest.approx(23, abs=0.3)
     ahead = np.diff(found.full)
     assert np.all(ahead > 0.98 * LINK / FLOW)
-    # The last link is limp, 18 ports let through all but what still stretches bags: about 38 Pa.
+    # The last link is limp. All flow through 18 ports, except that which stretches bags: 38 Pa.
     drops = -np.diff(found.pressure[np.searchsorted(found.fullness[:, -1], 0.5)])[:18]
     np.testing.assert_allclose(drops, 37.8, rtol=0.03)
     stored = found.gas[-1] / (DENSITY * LINK) - 1
@@ -103,7 +103,7 @@ def test_links_that_are_not_welded_apart_fill_together():
 
 
 def test_a_ladder_in_the_laminar_range_is_a_network_of_resistors():
-    """While the last bag is limp: (N - i) R Q in bag i, by a flow of 10 ml/min through tubes."""
+    """While the last bag is limp, bag i has (N - i) R Q at a flow of 10 ml/min through tubes."""
     d, length, flow = 4e-3, 0.5, 1e-5 / 60
     values = {"ports__diameter": d, "ports__length": length, "supply__flow": flow}
     made = small(**values)
@@ -116,7 +116,7 @@ def test_a_ladder_in_the_laminar_range_is_a_network_of_resistors():
 
 
 def test_a_disturbed_ladder_settles_as_its_network_does():
-    """Four tight bags, one with more gas: by scipy, against the exponential of the network."""
+    """Four tight bags, one with more gas: scipy against the matrix exponential of the network."""
     made = Filling(
         arm=takeichi_20m(4), ports=Ports(diameter=2e-3, length=0.3), supply=Supply(flow=1e-30)
     )
@@ -136,18 +136,18 @@ def test_a_disturbed_ladder_settles_as_its_network_does():
     network = -laplace * conductance * stiffness / LINK
     expected = np.array([expm(network * t) @ [more, 0, 0, 0] for t in times]).T
     np.testing.assert_allclose(found, expected, atol=2e-4 * more)
-    # It is a test only where something has moved.
+    # Check that the state has changed.
     assert expected[0, -1] < 0.6 * more
 
 
 def test_a_regulator_that_is_not_choked_fills_to_its_pressure():
-    """1 kPa behind a wide hole: quick at first, less with each bag that is tight."""
+    """At 1 kPa with a wide hole, the flow is large at first and decreases with each full bag."""
     values = {"supply__pressure": 1e3, "supply__nozzle_diameter": 0.01}
     found = filled("regulator", **values)
     assert found.finished
     assert found.pressure.max() < 1e3
     assert found.flow[-1] < found.flow[0]
-    # Small beside the room: C A sqrt(2 dp / rho), less what the short tube takes.
+    # For small pressures: C A sqrt(2 dp / rho), reduced by the short tube.
     free = 0.8 * np.pi / 4 * 0.01**2 * np.sqrt(2 * 1e3 / DENSITY)
     assert found.flow[0] == pytest.approx(free, rel=0.01)
 
@@ -184,7 +184,7 @@ def test_every_pair_of_the_curve_fills_in_its_time(kind):
 
 @pytest.mark.parametrize("kind", ["flow", "bottle"])
 def test_a_filling_goes_on_from_where_another_one_was(kind):
-    """From the gas of a row in the middle: the rest of its time, and its gas at the end."""
+    """Start from the gas of a row in the middle: remaining time and final gas are the same."""
     values = {"supply__nozzle_diameter": 2e-4} if kind == "bottle" else {}
     whole = filled(kind, **values)
     row = 200
@@ -267,7 +267,7 @@ BAD = {
     ),
     "ports": (
         {"ports": Ports(diameter=[0.01, 0.01, 0.02])},
-        "the ports have 3 values of diameter, but there are 2 between 3 bags: give one number",
+        "the ports have 3 values of diameter, but there are 2 ports between 3 bags: give one",
     ),
 }
 

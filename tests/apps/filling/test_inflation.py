@@ -1,4 +1,4 @@
-"""One state of inflation: declared once, made by a filling, and what an arm does with it."""
+"""The inflation state: declared once, computed by a filling, and used by an arm."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,15 +24,15 @@ def definition(tmp_path, text):
 
 
 def test_one_declaration_is_the_pressure_of_links():
-    """Of all quantities that are declared, and of all that an arm and its filling have."""
+    """Check all declared quantities, and all parameters of an arm and its filling."""
     groups = [group for group in vars(schema).values() if isinstance(group, schema.Group)]
     everything = {each.path: each for group in groups for each in group}
     made = Filling(arm=takeichi_20m(2, contact=AROUND, muscles="all", buoyancy=True))
     everything |= {path: each.declaration for path, each in declared(made).items()}
     pressures = {path for path, each in everything.items() if each.unit == "Pa"}
     assert {path for path in pressures if everything[path].per == "link"} == {"links.pressure"}
-    # The others are of muscles, of the room and of what feeds the first bag.
-    # A joint by itself has no links, and its neck the pressure that links have unless stated.
+    # The others belong to muscles, the room and the supply of the first bag.
+    # A single joint has no links; the default pressure of its neck is that of links.
     assert everything["neck.pressure"].default == everything["links.pressure"].default
     assert "neck.pressure" not in declared(made)
     whole = pressures - {"links.pressure", "neck.pressure"}
@@ -52,12 +52,12 @@ def test_it_is_what_contact_stiffness_and_the_force_on_the_ends_follow_from():
     assert 0 < stiffness[0] < full
     np.testing.assert_allclose(stiffness[1:], full, rtol=1e-12)
     np.testing.assert_allclose(bending_stiffness(arm, skin, pressure), stiffness)
-    # By default as before: 1 kPa in every link.
+    # The default is unchanged: 1 kPa in every link.
     np.testing.assert_allclose(arm.contact.line(arm.links), 1000 * np.pi)
 
 
 def test_an_arm_takes_the_state_that_filling_ends_in():
-    """Its lift is that of the filling but for helium that is pressed together: 0.1 g at most."""
+    """Its lift equals that of the filling, apart from compressed helium of at most 0.1 g."""
     filled = fill(Filling(arm=takeichi_20m(3, buoyancy=True, gravity=9.81)))
     arm = replace(filled.filling.arm, filled.inflation)
     np.testing.assert_array_equal(arm.links.pressure, filled.pressure[-1])
@@ -66,7 +66,7 @@ def test_an_arm_takes_the_state_that_filling_ends_in():
     np.testing.assert_allclose(net_lift(arm), filled.net_lift[-1] + pressed, rtol=1e-9)
     assert pressed.max() < 1e-4
     np.testing.assert_allclose(bending_stiffness(arm, Filling().skin), filled.stiffness[-1])
-    # Skin that stretches displaces more than that of the arm as it is cut.
+    # The stretched skin displaces more air than the skin of the arm as it is cut.
     assert net_lift(arm)[0] - net_lift(filled.filling.arm)[0] > 1e-4
 
 
@@ -82,7 +82,7 @@ def test_its_file_is_a_definition_of_the_same_arm(tmp_path):
 
 
 def test_an_arm_that_was_not_filled_is_one_too(tmp_path):
-    """Bags without gas have no pressure, and are no reason to refuse the file."""
+    """Bags without gas have zero pressure, and the file is accepted."""
     filled = fill(Filling(arm=takeichi_20m(3)), limit=60.0)
     assert not filled.finished
     arm = arm_from_definition(definition(tmp_path, inflation_toml(filled)))
@@ -91,7 +91,7 @@ def test_an_arm_that_was_not_filled_is_one_too(tmp_path):
 
 
 def test_links_that_one_muscle_would_fold_are_counted():
-    """F of the muscle at 300 kPa against p pi r^2, by hand."""
+    """Compare the force of the muscle at 300 kPa with p pi r^2 by hand."""
     weak = fill(Filling(arm=takeichi_20m(3)))
     angle = np.deg2rad(18)
     ideal = np.pi / 4 * 3.5e-3**2 * (3 / np.tan(angle) ** 2 - 1 / np.sin(angle) ** 2)
@@ -100,7 +100,7 @@ def test_links_that_one_muscle_would_fold_are_counted():
     assert carried.max() < pull
     assert weak.collapse.startswith(f"3 of 3 links withstand less than the {pull:.1f} N")
     assert f"p pi r^2 of link 3 is {carried[2]:.1f} N" in weak.collapse
-    # Gas that is in the bags at the beginning presses them tight, and a weaker muscle folds none.
+    # Gas that is in the bags initially makes them tight, so a weaker muscle folds no link.
     assert fill(Filling(arm=takeichi_20m(3)), share=1.1).collapse is None
     gentle = takeichi_20m(3, muscles="all", parameters={"muscle.pressure_limit": 11e3})
     assert fill(Filling(arm=gentle)).collapse is None
@@ -122,10 +122,10 @@ def test_files_and_paths_of_earlier_versions_are_read(tmp_path):
     assert float(get(changed, "contact.pressure[1]")) == 200.0
     assert "contact.pressure" not in declared(changed)
     both = '[arm.parameters]\n"contact.pressure" = 500.0\n"links.pressure" = 300.0\n'
-    with pytest.raises(InputError, match=r"states links\.pressure twice"):
+    with pytest.raises(InputError, match=r"gives links\.pressure twice"):
         definition(tmp_path, both)
     twice = "[arm]\nlinks = 2\ncontact_pressure_kPa = 0.5\nlink_pressure_kPa = 0.5\n"
-    with pytest.raises(InputError, match="states link_pressure_kPa twice"):
+    with pytest.raises(InputError, match="gives link_pressure_kPa twice"):
         definition(tmp_path, twice)
 
 

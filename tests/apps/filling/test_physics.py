@@ -1,4 +1,4 @@
-"""The parts of a filling: holes, bags and skins, against closed forms and tables of others."""
+"""The parts of a filling: holes, bags and skins, against closed forms and published tables."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from giajax.mechanics.inflation import (
 HELIUM = Gas()
 ROOM = float(HELIUM.ambient_pressure)
 RT = ROOM / float(HELIUM.density)
-# A short, sharp hole has no laminar part to speak of.
+# A short, sharp-edged hole has a negligible laminar part.
 SHORT = Hole(jnp.asarray(1e-3), jnp.asarray(1e-12), jnp.asarray(1.0))
 PORT = Hole(jnp.asarray(0.01), jnp.asarray(0.005), jnp.asarray(0.61))
 AREA = np.pi / 4 * 1e-6
@@ -41,7 +41,7 @@ def flows(hole, before, after, gas=HELIUM):
 
 
 def test_choked_flow_is_the_published_closed_form():
-    """C A p0 sqrt(k / (R T)) (2 / (k + 1))^((k + 1) / (2 (k - 1))), and nothing of what is behind.
+    """C A p0 sqrt(k / (R T)) (2 / (k + 1))^((k + 1) / (2 (k - 1))), whatever the exit pressure is.
 
     Written as in Anderson, Modern Compressible Flow, eq. (5.21); k = 5/3.
     """
@@ -54,7 +54,7 @@ def test_choked_flow_is_the_published_closed_form():
 
 @pytest.mark.parametrize("k", [5 / 3, 1.4])
 def test_choked_flow_is_that_of_another_library(k):
-    """Sonic flow at the throat as `fluids` has it, and the hole that API 520 asks for."""
+    """Compare with the sonic flow of `fluids`, and with the hole size of API 520."""
     gas, before, temperature = Gas(heat_capacity_ratio=k), 3e5, 293.15
     (found,) = flows(SHORT, [before], [1e5], gas)
     throat = T_critical_flow(temperature, k) / temperature * RT
@@ -63,14 +63,14 @@ def test_choked_flow_is_that_of_another_library(k):
     assert float(critical_ratio(gas)) == pytest.approx(P_critical_flow(1.0, k), rel=1e-12)
     weight = 1e3 * R * temperature / RT
     asked = API520_A_g(found, temperature, 1.0, weight, k, before, 1e5, Kd=1.0)
-    # Its constant has four digits.
+    # The constant of API 520 has four digits.
     np.testing.assert_allclose(asked, AREA, rtol=2e-3)
 
 
 def test_flow_agrees_with_printed_tables():
-    """NACA Report 1135, table I and White's table B.1 (k = 1.4): p / p0 and A / A* by Mach number.
+    """NACA Report 1135, table I, and White's table B.1 (k = 1.4): p / p0 and A / A* by Mach number.
 
-    The flow through a hole is then A* / A of the choked one, which is 0.6847 A p0 / sqrt(R T).
+    The flow through a hole is A* / A times the choked flow, which is 0.6847 A p0 / sqrt(R T).
     """
     air = Gas(heat_capacity_ratio=1.4)
     before = 2e5
@@ -82,14 +82,14 @@ def test_flow_agrees_with_printed_tables():
 
 
 def test_a_port_is_laminar_and_turbulent_in_series():
-    """dp = a Q + b Q |Q|, where the difference is small beside the pressure; both ways."""
+    """dp = a Q + b Q |Q| in both directions, if dp is small compared with the pressure."""
     d, length, c, density = 0.01, 0.005, 0.61, float(HELIUM.density)
     a = 128 * float(HELIUM.viscosity) * length / (np.pi * d**4)
     b = density / (2 * c**2 * (np.pi / 4 * d**2) ** 2)
     for drop in (1e-6, 1e-3, 0.1, 1.0, 38.0):
         volume = brentq(lambda q, drop=drop: a * q + b * q * q - drop, 0, 1, xtol=1e-18, rtol=1e-14)
         there, back = flows(PORT, [ROOM + drop, ROOM], [ROOM, ROOM + drop])
-        # Beyond it the gas is thinner by up to 4e-4.
+        # For larger differences, the density of the gas is lower by up to 4e-4.
         assert there / density == pytest.approx(volume, rel=max(1e-8, 10 * drop / ROOM))
         assert back == -there
     assert flows(PORT, [ROOM], [ROOM]) == 0
@@ -97,7 +97,7 @@ def test_a_port_is_laminar_and_turbulent_in_series():
 
 @pytest.mark.parametrize("ratio", [1.0, 0.999, 0.6, 0.48713928, 0.3])
 def test_a_hole_has_a_slope_everywhere(ratio):
-    """Also where nothing flows and where it chokes; both ways of differentiating."""
+    """This includes zero flow and choking, with forward and reverse differentiation."""
     after = jnp.asarray(ratio * ROOM)
 
     def flow(p):
@@ -125,13 +125,13 @@ def test_a_bag_is_limp_until_it_is_full():
     )
     assert np.all(pressure[:3] < 1e-15 * ROOM)
     np.testing.assert_allclose(fullness[:3], share[:3], rtol=1e-14)
-    # Full: what the gas is pressed together and what the skin stretches make up its mass.
+    # A full bag: its mass consists of the compression of the gas and the stretching of the skin.
     np.testing.assert_allclose((1 + pressure / ROOM) * (1 + pressure / 41.6e3), share.clip(1))
     np.testing.assert_allclose(fullness[3:], 1 + pressure[3:] / 41.6e3, rtol=1e-12)
 
 
 def test_the_skin_stretches_as_a_thin_tube_does():
-    """Strains of a closed tube of radius 0.15 m under 100 Pa, by Hooke's law in the plane."""
+    """Strains of a closed tube of radius 0.15 m under 100 Pa, by Hooke's law for plane stress."""
     filling, p, r, nu, et = Filling(), 100.0, 0.15, 0.45, 1e4
     hoop, along = p * r, p * r / 2
     volume = (1 + (hoop - nu * along) / et) ** 2 * (1 + (along - nu * hoop) / et)
@@ -156,7 +156,7 @@ def test_a_supply_feeds_what_its_nozzle_lets_through():
 
 
 def test_tight_bags_in_a_laminar_ladder_are_its_linear_network():
-    """The Jacobian of the rates at rest: conductances of the ports over capacities of the bags."""
+    """The Jacobian of the rates at rest consists of port conductances over bag capacities."""
     diameters = np.array([2e-3, 3e-3, 2.5e-3])
     made = Filling(arm=takeichi_20m(4, length=[1.0, 0.8, 1.2, 0.9]))
     made = replace(made, {"ports.diameter": diameters, "ports.length": 0.2})
@@ -165,7 +165,7 @@ def test_tight_bags_in_a_laminar_ladder_are_its_linear_network():
         return rates(0.0, State(share, jnp.zeros(())), made).share
 
     found = np.asarray(jax.jit(jax.jacfwd(slope))(jnp.full(4, 1.02)))
-    # Resistors between capacitors: G the conductances (kg/s/Pa), dp / d share the capacities.
+    # Resistors between capacitors: conductances G in kg/s/Pa, capacities from dp / d share.
     skin, room = 41666.666666666664, ROOM
     p = brentq(lambda p: (1 + p / room) * (1 + p / skin) - 1.02, 0, 1e4, xtol=1e-12, rtol=1e-14)
     slope = 1 / ((1 + p / skin) / room + (1 + p / room) / skin)

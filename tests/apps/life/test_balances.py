@@ -1,4 +1,4 @@
-"""Gas and motion of an arm over its life: helium, energy and momentum are balanced."""
+"""Gas and motion of an arm over its life: balances of helium, energy and momentum."""
 
 import functools
 
@@ -35,7 +35,7 @@ def handled(unrolling, begin, **what):
 
 
 def balanced(course, before):
-    """Helium over what fills the arm, and energy over what was exchanged, that are missing."""
+    """Return the relative errors of the helium balance and of the energy balance."""
     full = 0.1664 * LINKS * 0.99 * AREA
     moved = float(course.end.fed - before.fed) - float(course.end.let_out - before.let_out)
     works = [float(a - b) for a, b in zip(course.end.works, before.works, strict=True)]
@@ -54,7 +54,7 @@ def fed():
 
 
 def test_gas_and_skin_store_what_gas_brings():
-    """dU/dm = R T log(P / p_room), and U from an empty bag on by a quadrature of scipy."""
+    """dU/dm = R T log(P / p_room), and U from an empty bag by scipy's quadrature."""
     filling = Filling(arm=takeichi_20m(LINKS))
     gas, skin, stretch = filling.gas, filling.skin, filling.stretch
     share = jnp.asarray([0.9985, 1.0008, 1.06])
@@ -89,7 +89,7 @@ def test_a_fed_arm_balances_and_holds_a_muscle():
 
 
 def test_what_is_reached_at_the_beginning_takes_no_time():
-    """By gas an arm may be full as soon as it is unrolled."""
+    """An arm unrolled by gas may be full as soon as it is unrolled."""
     unrolling, _, full, held = fed()
     for what in ({"feeds": 1.0}, {"feeds": 1.0, "force": 50.0}):
         again = handled(unrolling, held.end, **what)
@@ -113,7 +113,7 @@ def test_a_vented_arm_is_pressed_out_by_a_hand():
         helium, energy = balanced(course, before)
         assert helium < 1e-10
         assert energy < 1e-6
-    # The hand does p V; a hundredth of the arm stays open.
+    # The hand does the work p V. A hundredth of the arm stays open.
     pressure = float(np.median(rolled.pressure[:, 0]))
     volume = LINKS * 0.99 * AREA
     assert float(rolled.end.works.hand) == pytest.approx(0.99 * pressure * volume, rel=0.02)
@@ -134,7 +134,7 @@ def moving(**changes):
 
 
 def test_a_motion_balances_energy_and_momentum():
-    """A drooping arm that is driven down to the ground, in gusts."""
+    """A drooping arm is driven down to the ground in gusts."""
     arm = moving()
     rows = np.linspace(0.0, 1.0, 31)
     command = np.stack([0.5 * np.sin(5 * rows), 0.2 * np.sin(6 * rows)], axis=1)
@@ -158,7 +158,7 @@ def test_a_motion_balances_energy_and_momentum():
 
 
 def test_what_is_not_balanced_is_refused():
-    with pytest.raises(InputError, match="the energy of the air moving with the links"):
+    with pytest.raises(InputError, match="the energy of the air that moves with the links"):
         check_audited(giajax.takeichi_20m_full(2))
     stops = {"joints.stops.strength": [0.1], "joints.stops.yield_angle": [0.01]}
     with pytest.raises(InputError, match="joints with Stops, whose state variables have no rate"):

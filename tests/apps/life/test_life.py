@@ -1,4 +1,4 @@
-"""The life of the paper's arm in one run."""
+"""The whole life of the paper's arm in one run."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def test_an_unrolling_of_another_arm_is_refused():
         live(mission, other)
 
 
-# The command's own test asks for the balances, too.
+# The test of the command also checks the balances.
 @pytest.mark.long
 def test_the_life_of_the_mock_up():
     said = []
@@ -37,13 +37,13 @@ def test_the_life_of_the_mock_up():
     assert life.apart < 1e-3
     phases = dict(zip(names, life.phases, strict=True))
     assert all(a.end == b.begin for a, b in zip(life.phases, life.phases[1:], strict=False))
-    # The volume of the links, a bag of 20 x 0.07 m^3, at the default flow.
+    # The volume of the links is 20 bags of 0.07 m^3, filled at the default flow.
     assert phases["fill"].end - phases["fill"].begin == pytest.approx(23.2 * 60, rel=0.01)
     assert phases["fill"].margin < 0
     assert phases["feed"].margin == pytest.approx(0, abs=1e-3)
     assert phases["mission"].margin > 0
-    assert life.energy.stored < 0  # of the roll, which sinks
-    # One state of inflation: the mission is flown with what feeding ended with.
+    assert life.energy.stored < 0  # the potential energy of the roll decreases
+    # The inflation state is shared: the mission starts with the final state of the filling.
     links = life.mission.model.arm.links
     np.testing.assert_allclose(links.pressure, phases["raise"].pressure)
     np.testing.assert_allclose(links.fullness, phases["raise"].fullness)
@@ -53,7 +53,7 @@ def test_the_life_of_the_mock_up():
     show = life_show(life)
     assert np.all(np.diff(show.clock) > 0)
     assert show.caption_at(show.sample_at(phases["mission"].begin + 1.0)) == "mission"
-    for phase in life.phases[:-1]:  # nothing jumps where one phase follows another
+    for phase in life.phases[:-1]:  # the state is continuous between phases
         at = show.sample_at(phase.end)
         tip = show.scene.markers["tip"]
         assert np.linalg.norm(tip[min(at + 1, len(tip) - 1)] - tip[at]) < 2.0 or phase.name == (

@@ -1,4 +1,4 @@
-"""The chance of a mission by a recording of the resting arm: what counts, and how true it is."""
+"""The success probability of a mission from a recording of the resting arm: inputs, calibration."""
 
 import dataclasses
 import json
@@ -36,7 +36,7 @@ def planned(**changes):
 
 
 def resting(seconds=60.0, rate=10.0, commands=None, noise=0.005, stated=None, **values):
-    """A run in which the tip swings by 0.3 m once in 20 s."""
+    """Return a run in which the tip swings by 0.3 m with a period of 20 s."""
     times = np.arange(round(seconds * rate) + 1) / rate
     random = np.random.default_rng(0)
     tip = {
@@ -59,12 +59,12 @@ def test_a_recording_is_its_means_over_half_a_second():
     assert found.channels == TIP
     assert found.bins.shape == (120, 3)
     assert found.seconds == 60
-    # Five rows in each: noise of a mean is that of a row over their root.
+    # Each mean is over five rows, so its noise is that of a row divided by their root.
     assert np.all(np.abs(found.noise - 0.02 / np.sqrt(5)) < 0.15 * 0.02 / np.sqrt(5))
     shown = found.shown()
     assert np.all(np.abs(shown[0]) < 0.01)
     assert np.all(np.abs(shown[1] - 0.3 / np.sqrt(2)) < 0.005)
-    # In two seconds a sine of 20 s moves by 2 sin(pi / 10) of itself.
+    # In two seconds, a sine with a period of 20 s changes by 2 sin(pi / 10) times its amplitude.
     moves = 2 * np.sin(np.pi / 10) * 0.3 / np.sqrt(2)
     assert np.all(np.abs(shown[2] - moves) < 0.01)
 
@@ -89,12 +89,15 @@ def test_of_a_long_recording_the_end_counts():
             r"joint02_command .* moves by 11\.5 deg: give a recording of the arm at rest",
         ),
         ({"joint31_angle": np.zeros(601)}, "joint31_angle"),
-        ({"joint01_torque": np.full(601, 5.0)}, "driven by joint01_torque, but a mission by"),
+        (
+            {"joint01_torque": np.full(601, 5.0)},
+            "driven by joint01_torque, but a mission is driven by",
+        ),
         ({"rate": 1.0}, "tip_x of 'resting' is sampled too slowly to separate noise"),
         ({"imu03_accel_x": np.zeros(601)}, "simulate"),
         (
             {"tip_x": np.where(np.arange(601) % 33, np.nan, 0.1), "stated": {"position_m": 0.01}},
-            "tip_x of 'resting' has no two values that are 2 s apart: record the channel",
+            "tip_x of 'resting' does not have two values that are 2 s apart: record the channel",
         ),
     ],
 )
@@ -104,7 +107,7 @@ def test_what_is_no_resting_arm_is_refused(changes, sentence):
 
 
 def drawn(count, seed, slope=-12.0):
-    """Missions whose rests swing by the air's speed, give or take a fifth, and their recordings."""
+    """Return missions whose rest motions scatter about the air speed by 20 %, with recordings."""
     random = np.random.default_rng(seed)
     cases = []
     for number in range(count):
@@ -123,7 +126,7 @@ def chance_of(case, known):
 
 
 def test_chances_are_calibrated_and_skilful():
-    """On other missions: Spiegelhalter's test, and what is better than the share of success."""
+    """On other missions: Spiegelhalter's test, and a Brier score better than the base rate's."""
     known = drawn(400, seed=1)
     others = drawn(600, seed=2)
     chance = np.array([chance_of(each, known).chance for each in others])
@@ -141,7 +144,7 @@ def test_chances_are_calibrated_and_skilful():
 
 
 def test_the_interval_is_what_so_few_missions_leave_open():
-    """Of many sets of missions the chances of one recording scatter as the interval says."""
+    """Over many sets of missions, the probability for one recording scatters as it says."""
     one = drawn(1, seed=5)[0]
     found = [chance_of(one, drawn(200, seed=10 + k)) for k in range(200)]
     truth = chance_of(one, drawn(20_000, seed=3)).chance
@@ -187,7 +190,7 @@ def test_few_missions_are_no_certificate():
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A file of the tip of the resting short arm, and that of its mission."""
+    """Write a recording of the tip of the resting short arm, and its mission file."""
     folder = tmp_path_factory.mktemp("morning")
     (folder / "mission.toml").write_text(FILE.replace("limit_s = 100.0", "limit_s = 40.0"))
     run, _ = resting(seconds=30.0, noise=0.0)
@@ -213,7 +216,7 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     assert rows["seed"].tolist() == list(range(3, 27))
     assert np.sum(np.isfinite(rows["reached_s"])) == facts["inside"]
     assert np.all((rows["wind_m_per_s"] > 0.1) & (rows["wind_m_per_s"] < 0.9))
-    # A mission is not begun before its rest is over, and ends within its time.
+    # A mission does not start before its rest is over, and ends within its time limit.
     assert np.nanmin(rows["reached_s"]) > 10
     assert np.nanmax(rows["reached_s"]) <= 40
     assert Path("chance/certificate.png").stat().st_size > 10_000
@@ -225,14 +228,14 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
 
 @pytest.mark.slow
 def test_missions_begin_after_a_rest(recording):
-    """What a rest shows is the motion of a mission without commands, with the recording's noise."""
+    """The recorded rest is the motion of a mission without commands, with recording noise."""
     mission = small_mission(mission__limit_s=40.0)
     found = Resting.from_run(read_run(recording / "resting.csv"), mission.model)
     bins = found.bins.copy()
     bins[5, 0] = np.nan
     found = dataclasses.replace(found, bins=bins, noise=np.zeros(3))
     one, *others = fly_rested(mission, found, (0.5, 0.5001), 3, seed=3)
-    # As long: two minutes, the half minute of the recording, and the mission.
+    # The same length: two minutes, the half minute of the recording, and the mission.
     rests = dataclasses.replace(
         mission,
         section=mission.section.model_copy(update={"limit_s": 190.0}),

@@ -1,4 +1,4 @@
-"""The mock-up: what the operator does, and what the operator cannot know."""
+"""The mock-up mission: actions of the operator, and information that the operator must not have."""
 
 import dataclasses
 import json
@@ -36,7 +36,7 @@ def mission(name="naraha", **changes):
 
 
 def blind():
-    """A mission that nobody sees anything of: one program for the tests that need no more."""
+    """A mission without pictures; tests that need no more share this program."""
     return mission(camera__tip__size_px=[1, 1], mission__limit_s=60.0)
 
 
@@ -47,14 +47,14 @@ def flown():
 
 @pytest.mark.slow
 def test_the_tip_comes_in(flown):
-    """In the air of the paper, in its time, and through the frame, not through the wall."""
+    """In the paper's air and time, and through the frame, not through the wall."""
     assert flown.reached is not None
     assert flown.reached < 720
     assert not flown.reason
     opening = mission().opening
     local = np.asarray(opening.local(jnp.asarray(flown.tip)))
     assert local[0, 0] > 10
-    # It is inside from the end of an interval on.
+    # The tip is inside from the end of an interval on.
     assert np.all(local[flown.times > flown.reached + 0.05, 0] < -0.5)
     through = np.flatnonzero((local[:-1, 0] > 0) != (local[1:, 0] > 0))
     assert np.all(np.abs(local[through, 1:]) < 1)
@@ -66,7 +66,7 @@ def test_the_tip_comes_in(flown):
 
 @pytest.mark.slow
 def test_the_run_of_a_mission_is_its_motion(flown):
-    """The adaptive simulation of the commands, in the recorded wind, goes where the tip went."""
+    """The adaptive simulation of the commands in the recorded wind gives the same tip path."""
     run = recorded(mission(), flown, name="run")
     there = predict(model_for([run]), run)
     gap = [np.asarray(there[key]) - run.values[key] for key in ("tip_x", "tip_y", "tip_z")]
@@ -75,7 +75,7 @@ def test_the_run_of_a_mission_is_its_motion(flown):
 
 @pytest.mark.slow
 def test_nobody_tells_the_operator(flown):
-    """Without pictures the commands are those of the approach, whatever blows and bends."""
+    """Without pictures, the commands depend neither on the wind nor on the stiffness."""
     planned = blind()
     soft = planned.with_model(replace(planned.model, {"joints.pitch_stiffness": 2.0}))
     one, other = planned.fly(1), soft.in_wind(0.3).fly(2, drawn=planned)
@@ -84,7 +84,7 @@ def test_nobody_tells_the_operator(flown):
     assert_allclose(one.command[-1], planned.controller.approach, atol=1e-9)
     assert one.reason == other.reason == "the opening never came into view"
     assert one.reached is None
-    # What is later than the picture cannot be known: until it is in view, all are alike.
+    # Until the opening is in view, and pictures are late, the commands are the same.
     seen = int(np.argmax(flown.corners >= 2))
     assert_allclose(one.command[: seen + 4], flown.command[: seen + 4], atol=1e-12)
     assert not np.allclose(one.command[seen + 20], flown.command[seen + 20], atol=1e-3)
@@ -92,7 +92,7 @@ def test_nobody_tells_the_operator(flown):
 
 @pytest.mark.long
 def test_twelve_minutes_take_three_seconds():
-    """In free air, all of them: an operator who sees nothing never ends."""
+    """In free air and for the whole time, because an operator without pictures never finishes."""
     whole = mission(camera__tip__size_px=[1, 1])
     took = []
     for _ in range(4):
@@ -159,7 +159,7 @@ def test_the_air_has_its_speed():
 )
 def test_what_is_no_mission_is_refused(changes, sentence):
     if changes == {"arm__obstacles": []}:
-        # Without obstacles, what is said of contact is refused first.
+        # Without obstacles, settings of the contact are refused first.
         changes |= {"arm__link_pressure_kPa": None, "arm__contact_friction": None}
     with pytest.raises(InputError, match=sentence):
         mission(**changes)
@@ -180,7 +180,7 @@ def test_a_tally_counts():
     assert tally.reasons == {"a": 2, "b": 1}
     assert tally.quartiles == (125.0, 150.0, 175.0)
     assert tally.flattening == 0.02
-    # Wilson's interval of 2 in 5, from a table.
+    # Wilson's interval of 2 in 5, from a published table.
     assert_allclose(tally.interval, [0.1176, 0.7693], atol=1e-4)
     assert Cases(cases, 1.0).tallies == [tally]
     none = Tally(0.0, cases[2:])

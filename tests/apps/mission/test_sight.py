@@ -1,4 +1,4 @@
-"""What an operator makes of pictures: against the truth, and without one."""
+"""The operator's estimate from pictures, compared with the truth, and without pictures."""
 
 import equinox as eqx
 import jax
@@ -36,7 +36,7 @@ OPENING = opening_of(arm_before(WALL))
 
 
 def looking(place, aim, roll=0.0):
-    """A view from a place (in the opening's frame) to another, rolled about its axis."""
+    """Return a view between two places in the frame of the opening, rolled about its axis."""
     here, there = (
         np.asarray(OPENING.centre) + np.asarray(OPENING.frame) @ np.asarray(each, float)
         for each in (place, aim)
@@ -56,14 +56,14 @@ def test_an_opening_is_where_its_wall_is():
     corners = np.asarray(OPENING.local(OPENING.corners))
     assert_allclose(np.abs(corners[:, 1:]), [[1.0, 0.5]] * 4, atol=1e-12)
     assert_allclose(corners[:, 0], 0, atol=1e-12)
-    # The outer face is half a thickness out, where the wall's x points.
+    # The outer face is half a thickness from the centre, in the direction of the wall's x axis.
     assert_allclose(np.linalg.norm(np.asarray(OPENING.centre) - [14.0, 0.0, 7.4]), 0.1)
     assert_allclose(OPENING.beside(jnp.asarray([5.0, 1.3, -0.9])), 0.5, rtol=1e-12)
     assert_allclose(OPENING.beside(jnp.asarray([5.0, 0.9, -0.4])), 0.0)
 
 
 def test_four_corners_are_a_pose():
-    """To rounding, from wherever they are seen, through a lens that distorts."""
+    """Exact to rounding from any viewpoint, with a lens that distorts."""
     random = np.random.default_rng(0)
     seen = 0
 
@@ -86,7 +86,7 @@ def test_four_corners_are_a_pose():
 
 @eqx.filter_jit
 def along(tracking, first, interval, views, errors, shown):
-    """One program for all paths of a length: the last belief, and all of them."""
+    """Return the last estimate and all estimates; one program for all paths of the same length."""
 
     def step(sight, given):
         view, error = given
@@ -102,7 +102,7 @@ def along(tracking, first, interval, views, errors, shown):
 
 
 def followed(tracking, first, interval, path, rng, shown=4):
-    """Distances of belief from the truth along a path of views, and their standard deviations."""
+    """Return the errors of the estimates along a path of views, and their standard deviations."""
     views = View(*(jnp.asarray(np.stack(each)) for each in zip(*path, strict=True)))
     errors = jnp.asarray(rng.normal(size=(len(path), 4, 2)))
     sight, (centres, sure) = along(tracking, first, interval, views, errors, jnp.asarray(shown))
@@ -110,7 +110,7 @@ def followed(tracking, first, interval, path, rng, shown=4):
 
 
 def test_a_camera_is_followed_from_a_wrong_belief():
-    """4 m and 30 deg off where commands would have it, 6 m away, 1 px of noise, moving."""
+    """The moving camera is 6 m away; the initial estimate is off by 4 m and 30 deg; noise 1 px."""
     rng, interval = np.random.default_rng(1), jnp.asarray(0.1)
     times = 0.1 * np.arange(150)
     places = np.stack([5 - 0.15 * times, 1.5 + 0.1 * times, -2 + 0.1 * times], axis=1)
@@ -119,10 +119,11 @@ def test_a_camera_is_followed_from_a_wrong_belief():
     gaps, sure, sight = followed(Tracking(pixel=1.0), commanded, interval, path, rng)
     assert np.abs(gaps[60:]).max() < 0.3
     pulls = gaps[60:] / sure[60:]
-    # It takes the camera for one that does not turn on purpose: a little too sure of itself.
+    # The filter assumes that the camera does not turn systematically, so it is slightly
+    # overconfident.
     assert 0.3 < np.sqrt(np.mean(pulls**2)) < 3.0
     speed = np.asarray(OPENING.frame) @ [-0.15, 0.1, 0.1]
-    # It dies away where nothing is seen, so that it lags behind.
+    # The assumed velocity decays without pictures, so the estimate lags behind.
     assert_allclose(sight.velocity, speed, atol=0.1)
     ahead = np.asarray(sight.view.axes).T @ np.asarray(path[-1].axes)
     assert_allclose(ahead, np.eye(3), atol=0.03)
@@ -135,7 +136,7 @@ def test_two_corners_go_on_where_four_began():
     _gaps, sure, sight = followed(tracking, path[0], interval, path, rng)
     on = followed(tracking, path[0], interval, path, rng, shown=2)
     assert np.abs(on[0][-1]).max() < 0.5
-    # Fewer corners say less, and none leaves it to drift.
+    # Fewer corners give larger errors, and no corner makes the estimate drift.
     assert np.all(on[1][-1] > sure[-1])
     later = eqx.filter_jit(tracking.later)
     for _ in range(50):
@@ -145,13 +146,13 @@ def test_two_corners_go_on_where_four_began():
 
 
 def test_a_camera_beside_the_tip_is_not_the_tip():
-    """It is the tip that goes through the opening: commands are those of a camera at the tip."""
+    """The tip must pass the opening, so the commands are those for a camera at the tip."""
     arm, angles = giajax.takeichi_20m(), jnp.linspace(-0.3, 0.2, 20)
     operator = Operator(approach=jnp.zeros(20))
 
     @eqx.filter_jit
     def commanded(operator, camera, arm, angles):
-        # It believes to be where its commands have the camera, and sees nothing for now.
+        # The estimate is where the commands place the camera, and there is no picture yet.
         scene = Scene(arm, camera, OPENING, jnp.asarray(0.1))
         memory = operator.start(scene, 0)._replace(
             sight=operator.tracking.start(camera.view(arm, angles)), blind=jnp.asarray(0.0)
@@ -180,7 +181,7 @@ def test_a_camera_beside_the_tip_is_not_the_tip():
             None,
             r"several walls have an opening \(wall, other\): name one",
         ),
-        ((WALL,), "door", "'door' is not a wall with an opening: use one of: wall"),
+        ((WALL,), "door", "'door' is not a wall with an opening: use one of wall"),
     ],
 )
 def test_a_mission_without_its_opening_is_refused(obstacles, name, sentence):

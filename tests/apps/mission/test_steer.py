@@ -1,4 +1,4 @@
-"""Model predictive control: its plan beside a simulation, what it may know, and how it ends."""
+"""Model predictive control: the plan and its simulation, the available information, the end."""
 
 import dataclasses
 import json
@@ -37,7 +37,7 @@ def steered(controller="mpc", **changes):
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_quadratic_program_is_solved_within_its_bounds(seed):
-    """Against the trust-region method of scipy; a few iterations are near it, and never outside."""
+    """Compared with scipy's trust-region method; few iterations come close, within the bounds."""
     rng = np.random.default_rng(seed)
     matrix, values = rng.normal(size=(60, 40)), rng.normal(size=60)
     bounds = -np.abs(rng.normal(size=40)) / 10, np.abs(rng.normal(size=40)) / 10
@@ -53,10 +53,10 @@ def test_the_quadratic_program_is_solved_within_its_bounds(seed):
 
 @pytest.mark.slow
 def test_a_plan_goes_where_a_simulation_of_it_goes():
-    """From some centimetres off, at rest, the tip comes to the place before the opening.
+    """From rest and some centimetres away, the tip comes to the place in front of the opening.
 
-    The plan is linearised, and simulated by another method as it is: without drag, which has no
-    slope at rest, and without the turn of the camera, for which joints turn far.
+    The plan is linearised, and simulated by another method. The simulation omits drag, which has
+    zero slope at rest, and the rotation of the camera, for which joints have to turn far.
     """
     mission = steered(arm__parameters={"air.drag_coefficient": 1e-6})
     steering = mission.controller
@@ -93,7 +93,7 @@ def test_a_plan_goes_where_a_simulation_of_it_goes():
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 3])
 def test_without_a_picture_the_estimate_is_the_simulated_state(late):
-    """Each command belongs to its interval, from the start on, however late pictures are."""
+    """Each command is applied in its own interval from the start on, however late pictures are."""
     mission = small_mission()
     steering = mission.controller
     arm = dataclasses.replace(mission.model.arm, contact=None)
@@ -104,7 +104,7 @@ def test_without_a_picture_the_estimate_is_the_simulated_state(late):
     estimate, now = eqx.filter_jit(steering.estimate), eqx.filter_jit(steering.now)
     moment, gaps = stepper.start(), []
     turn = jnp.deg2rad(jnp.linspace(0.2, -0.1, 8))
-    # The air that the tracker begins with is still, as its mean.
+    # The tracker starts with still air, which is its mean.
     for row in range(12):
         nothing = Picture(jnp.zeros((4, 2)), jnp.zeros(4, bool), jnp.asarray(False), turn)
         memory = estimate(scene, memory, nothing, moment.command)
@@ -116,7 +116,7 @@ def test_without_a_picture_the_estimate_is_the_simulated_state(late):
 
 
 def test_what_is_expected_is_the_middle_of_what_may_come():
-    """Without chance the tracker's arm moves as its mean does."""
+    """Without process noise, the arm of the tracker moves like its mean."""
     tracked = steered().controller.tracked
     rng = np.random.default_rng(0)
     vector = steered().controller.start_at.mean
@@ -133,7 +133,7 @@ def test_what_is_expected_is_the_middle_of_what_may_come():
 
 @pytest.mark.long
 def test_the_tip_comes_in_sooner():
-    """The paper's arm, in its air; the operator takes three minutes."""
+    """The paper's arm in its air, for which the operator takes three minutes."""
     flown = steered().fly(1)
     assert flown.reached is not None
     assert flown.reached < 110
@@ -144,13 +144,13 @@ def test_the_tip_comes_in_sooner():
 
 @pytest.fixture(scope="module")
 def flown():
-    """Of a short arm, as of all that follow."""
+    """A mission of a short arm; the tests below use it."""
     return small_mission().fly(1)
 
 
 @pytest.mark.slow
 def test_the_arm_goes_through_the_middle_of_the_frame(flown):
-    """With the tip on the axis it would pass one side at 0.19 m."""
+    """With the tip on the axis, the arm would pass one side at a distance of 0.19 m."""
     arm = small_mission().model.arm
     gaps = jax.jit(jax.vmap(lambda angles: clearance(arm, angles)))(jnp.asarray(flown.angles))
     assert flown.reached is not None
@@ -159,7 +159,7 @@ def test_the_arm_goes_through_the_middle_of_the_frame(flown):
 
 @pytest.mark.slow
 def test_it_knows_no_more_than_pictures_show(flown):
-    """Without a picture, commands of two arms in different air are the same."""
+    """Without pictures, the commands of two arms in different air are the same."""
     blind = small_mission(mission__camera_stops_s=0.0)
     soft = blind.with_model(replace(blind.model, {"joints.pitch_stiffness": 2.0}))
     one, other = blind.fly(1), soft.in_wind(0.3).fly(2, drawn=blind)
@@ -167,11 +167,11 @@ def test_it_knows_no_more_than_pictures_show(flown):
     assert_allclose(one.command, other.command, atol=1e-12)
     assert one.reason == "the camera stopped before the tip was inside"
     assert one.corners.max() == 0
-    # Until the first picture is late enough to be seen, one that sees does the same.
+    # Until the first picture arrives, the commands with and without pictures are the same.
     seen = int(np.argmax(flown.corners >= 1))
     assert seen > 20
     assert_allclose(flown.command[: seen + 4], one.command[: seen + 4], atol=1e-12)
-    # The safe state: commands rest at the approach.
+    # The safe state is the approach, at which the commands stay.
     approach = np.asarray(blind.controller.approach)
     assert np.abs(one.command[-1] - approach).max() < np.deg2rad(3.0)
     assert np.abs(one.command[-1] - one.command[-50]).max() < np.deg2rad(0.5)
@@ -189,7 +189,7 @@ def test_a_camera_that_stops_ends_in_the_safe_state(flown):
 
 @pytest.mark.slow
 def test_the_tip_is_held_before_the_opening():
-    """In moving air, from pictures."""
+    """In moving air, with pictures."""
     held = small_mission().keeping_station(100.0)
     outcome = held.case(1).fly(1, drawn=held)
     assert outcome.reached is None
@@ -200,7 +200,7 @@ def test_the_tip_is_held_before_the_opening():
     facts = json.loads(mission_json(held, outcome))
     assert (facts["controller"], facts["keeps_station"]) == ("mpc", True)
     assert facts["swing_m"] == outcome.swing
-    assert "before the opening within" in mission_figure(held, outcome).get_suptitle()
+    assert "in front of the opening to within" in mission_figure(held, outcome).get_suptitle()
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The measure of table 3, a second time and in another way."""
+"""The measure of table 3, compared with a second implementation."""
 
 import math
 from fractions import Fraction
@@ -15,7 +15,7 @@ TIMES = [number / 10 for number in range(251)]
 
 
 def by_hand(model, experiment):
-    """1 - |Xm - Xe| / |Xe| from 10 to 25 s, sample by sample in fractions."""
+    """1 - |Xm - Xe| / |Xe| from 10 to 25 s, sample by sample with exact fractions."""
     terms = []
     for tenth, (ours, theirs) in enumerate(zip(model, experiment, strict=True)):
         if not 100 <= tenth <= 250 or math.isnan(theirs) or theirs == 0:
@@ -41,7 +41,7 @@ def test_it_is_what_the_paper_defines(curves):
     expected, count = by_hand(model, experiment)
     assert count == 151 - 3
     assert concordance(model[rows], experiment[rows]) == pytest.approx(expected, rel=1e-12)
-    # It has no lower end.
+    # The measure has no lower bound.
     assert concordance(-100 * model[rows], experiment[rows]) < -50
 
 
@@ -72,7 +72,7 @@ def test_every_tenth_of_a_second_is_compared():
     rows = compared(np.asarray(TIMES))
     assert len(rows) == 151
     assert np.allclose(np.asarray(TIMES)[rows], np.linspace(10, 25, 151))
-    # Rows between the samples, as at corners of a command, are not.
+    # Rows between the samples, such as corners of a command, are ignored.
     more = np.sort([*TIMES, 12.03])
     assert 12.03 not in more[compared(more)]
     with pytest.raises(InputError, match="no sample at"):

@@ -1,4 +1,4 @@
-"""What fig. 12 says: explanations that are told apart, and what collapses under one muscle."""
+"""Explanations of fig. 12 that can be distinguished, and what collapses under one muscle."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ TRUTH = Explained("both", 0.05, 0.038, 0.02, np.empty(0))
 
 @pytest.mark.quick
 def test_what_collapses_under_one_muscle():
-    """0.3 N m and 2 to 4 N: a link of 150 mm by its pressure, and a neck at 1 kPa by its radius."""
+    """0.3 N m and 2 to 4 N: for a link of 150 mm its pressure, for a neck at 1 kPa its radius."""
     pressures = [collapse_pressure(0.15, 0.3, force) for force in (2.0, 4.0)]
     radii = [collapse_radius(1e3, 0.3, force) for force in (2.0, 4.0)]
     assert np.allclose(pressures, [56.6, 84.9], atol=0.05)
@@ -30,7 +30,7 @@ def test_what_collapses_under_one_muscle():
 
 
 def test_explanations_are_told_apart():
-    """By a noisy loop of one of them, which is found with its parameters."""
+    """A noisy loop of one explanation is identified with its parameters."""
     seen = at_pressure(TRUTH, 1e3).angles
     loop = seen + np.random.default_rng(0).normal(0, 2.0, seen.shape)
     found = explained(loop, SEARCHED)
@@ -43,7 +43,7 @@ def test_explanations_are_told_apart():
 
 
 def test_a_neck_that_muscles_crush_explains_nothing():
-    """p pi r^2 of 34 mm is 3.6 N; the muscles press by 3.9 N on the way."""
+    """p pi r^2 of 34 mm is 3.6 N, but the muscles press with 3.9 N during the motion."""
     crushed = at_pressure(Explained("both", 0.05, 0.034, 0.02, np.empty(0)), 1e3)
     assert -0.5 < crushed.stretching < 0
     found = explained(crushed.angles, SEARCHED)["both"]
@@ -51,12 +51,12 @@ def test_a_neck_that_muscles_crush_explains_nothing():
 
 
 def test_gas_moves_a_neck_and_not_the_pair():
-    """The experiment: the same joint at three pressures."""
+    """A proposed experiment: the same joint at three pressures."""
     pair = Explained("the pair alone", 0.05, None, None, np.empty(0))
     same = [at_pressure(pair, p).angles for p in (1000.0, 1500.0)]
     assert np.array_equal(*same)
     nearest = Explained("both", 0.04, 0.036, 0.02, np.empty(0))
     errors = [at_pressure(nearest, p).said["mean"] for p in (1000.0, 1500.0)]
     assert errors[0] - errors[1] > 2
-    # What the text says of the pair alone: too large an error for its mean.
+    # The pair alone, with the values in the text, has an error that is too large for its mean.
     assert misfit(same[0]) > 20

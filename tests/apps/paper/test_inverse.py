@@ -1,4 +1,4 @@
-"""Table 3 the other way round: the search with cells that are known, and what is said of it."""
+"""Table 3 inverted: the search with known cells, and the resulting statements."""
 
 import json
 
@@ -24,12 +24,12 @@ from giajax.mechanics.arm import takeichi_20m
 from giajax.simulation import ramps, simulate
 
 COUNT = len(UNKNOWNS)
-# Cells that are linear in the logarithms, of full rank.
+# Cells that are linear in the logarithms of the unknowns, with full rank.
 SLOPES = 30 * np.random.default_rng(5).standard_normal((8, COUNT))
 
 
 def known(offset):
-    """Cells that are as printed in the middle of all ranges, but for an offset."""
+    """Cells that equal the printed ones at the centre of all ranges, plus an offset."""
     low, high = READINGS["own"].box()
     middle = (low + high) / 2
 
@@ -41,7 +41,7 @@ def known(offset):
 
 
 def ended(reading, jacobian):
-    """A search that ended two points off."""
+    """A search that ended with an error of two points."""
     out = Compared(CELLS + 2.0, np.full(4, 0.1), np.zeros(4, bool))
     ones = np.exp(READINGS[reading].spread() @ READINGS[reading].box()[0])
     return SearchEnd(reading, 1, "minimum", 3, ones, ones, out, jacobian, jacobian)
@@ -70,7 +70,7 @@ def test_it_finds_an_arm_that_there_is(monkeypatch, cores):
 
 
 def test_it_says_where_there_is_none(monkeypatch):
-    # Far beyond the ranges, however the logarithms are chosen.
+    # The offset is so large that no values within the ranges can reach it.
     ends = searched(monkeypatch, np.array([1e4, 0, 0, 0, 0, 0, 0, 0]))
     assert {end.why for end in ends} <= {"minimum", "stuck", "iterations"}
     assert ends[0].at_bounds()
@@ -90,7 +90,7 @@ def test_it_can_be_stopped(monkeypatch, cores):
 
 
 def test_a_search_that_is_stopped_or_fails_at_its_start(monkeypatch):
-    """Those before it are kept, and what it has not found is no number."""
+    """Earlier searches are kept, and the failed one gives no number."""
     monkeypatch.setenv("GIAJAX_CORES", "1")
     for why in ("interrupted", "failed"):
         there = known(5.0)[1]
@@ -163,7 +163,7 @@ def test_directions_are_told():
 
 @pytest.mark.slow
 def test_the_cells_are_those_of_simulations():
-    """By the public simulation, another solver, and NumPy's concordance."""
+    """Compare with the public simulation, another solver, and NumPy's concordance."""
     values = {name: np.sqrt(u.lower * u.upper) * u.unit for name, u in UNKNOWNS.items()}
     values |= {"angle": 0.5, "reach": 0.9, "back": 13.0, "lasting": 1.0, "yield": 0.01}
     out = evaluated(jnp.log(jnp.asarray(list(values.values()))))

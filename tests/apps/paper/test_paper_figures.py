@@ -1,4 +1,4 @@
-"""The figures of the paper: against other tolerances and another engine, and as files."""
+"""The figures of the paper: compared with other tolerances and another engine, and as files."""
 
 import csv
 import io
@@ -118,14 +118,14 @@ def test_halved_tolerances_move_no_curve_of_fig_5(curves):
     _, finer = heights(TOLERANCE / 2)
     for air in ("with", "without"):
         assert np.abs(z[air] - finer[air])[:, ROWS].max() < 1e-5
-    # They are curves, and air matters.
+    # Check that the curves vary, and that the air has an effect.
     assert np.ptp(z["without"][:, 19]) > 10 > 2 * np.ptp(z["with"][:, 19])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("air", ["with", "without"])
 def test_fig_5_is_that_of_mujoco(curves, air):
-    """Centres of links are half-way between their ends."""
+    """The centre of a link is halfway between its ends."""
     mujoco_c = pytest.importorskip("peers.mujoco_c", reason="mujoco is not installed")
     times, z = curves
     arm = takeichi_20m()

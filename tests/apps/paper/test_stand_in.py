@@ -1,4 +1,4 @@
-"""The stand-in for the paper's recordings: its runs, and the physics that they come from."""
+"""The stand-in for the paper's recordings: its runs, and the physics that generated them."""
 
 import importlib.util
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_every_run_has_its_truth_and_checksum():
 
 @pytest.mark.quick
 def test_the_true_motion_has_no_full_concordance():
-    """Recorded without the noise of the camera, as docs/paper.md says; the noise is seeded."""
+    """Camera noise reduces the concordance of the true motion, as docs/paper.md says."""
     rates = []
     for seed in range(1, 21):
         run = read_run(FOLDER / f"stand_in_{seed:02d}.csv")
@@ -63,14 +63,14 @@ def test_the_true_motion_has_no_full_concordance():
 def test_the_beginning_of_a_run_comes_out_of_its_script():
     regenerate = script()
     assert regenerate.differences(7, 1.0) == []
-    # What is looked for can be found.
+    # The check detects a changed noise.
     regenerate.NOISE = 0.021
     assert len(regenerate.differences(7, 0.1)) > 10
 
 
 @pytest.mark.slow
 def test_added_mass_in_mujoco_is_that_of_giajax():
-    """Strip drag, trim weights, added mass and a wind that changes, on five links."""
+    """Strip drag, trim weights, added mass and a variable wind, on five links."""
     arm = takeichi_20m(
         5,
         drag="strip",
@@ -93,7 +93,7 @@ def test_added_mass_in_mujoco_is_that_of_giajax():
 
 @pytest.mark.slow
 def test_a_motion_with_friction_in_mujoco_is_that_of_giajax():
-    """Dahl's friction, drag, added mass and a wind that changes, to and fro on two links."""
+    """Dahl friction, drag, added mass and a variable wind, with reversals, on two links."""
     physics = {"air.added_mass_coefficient": 1.0, "joints.damping": 0.1}
     arm = takeichi_20m(2, drag="strip", parameters=physics)
     command = ramps([0.0, 0.2, 0.4, 0.6, 1.0], np.outer([0.0, 0.5, 0.5, 0.0, 0.0], [1.0, -0.5]))
@@ -103,7 +103,7 @@ def test_a_motion_with_friction_in_mujoco_is_that_of_giajax():
     theirs = made.trajectory(times, 0.001)
     memory = {"joints.memory.strength": 0.06, "joints.memory.yield_angle": 0.02}
     ours = simulate(replace(arm, memory), command, times, wind=wind, rtol=1e-9, atol=1e-9)
-    # Corners at reversals are what equal steps are wrong by.
+    # The error of equal steps comes from the corners at reversals.
     np.testing.assert_allclose(theirs[:, 0], ours.angles, rtol=0, atol=1e-6)
     plain = simulate(arm, command, times, wind=wind)
     assert np.max(np.abs(theirs[:, 0] - plain.angles)) > 1e-3

@@ -1,4 +1,4 @@
-"""Table 3 and fig. 19 from predictions that are known, and the runs that they are made of."""
+"""Table 3 and fig. 19 computed from known predictions, and the runs that they need."""
 
 import csv
 import io
@@ -23,16 +23,16 @@ from giajax.apps.paper import (
 pytestmark = pytest.mark.quick
 
 TIMES = np.linspace(0.0, 25.0, 251)
-# What each contender is too large by, as a share of the truth.
+# Relative error of each contender (all are too large).
 OFF = {"with_air": 0.25, "without_air": 3.0, "refitted": 1.0, "own": 0.0}
 
 
 class KnownFits(Fits):
-    """Each contender is off by a share that grows with the number of the run."""
+    """Each contender has a relative error that is proportional to the number of the run."""
 
     def predicted(self, name, run):
         number = int(run.name[-1])
-        # Of the last link twice as much: no two of a row are the same.
+        # The error of the last link is twice as large, so no two cells of a row are equal.
         off = dict.fromkeys(HEIGHTS, OFF[name] * number) | {HEIGHTS[-1]: 2 * OFF[name] * number}
         return {z: (1 + off[z]) * run.values[z] for z in HEIGHTS}
 
@@ -88,7 +88,7 @@ def test_fig_19_shows_the_first_run(fits):
 
 @pytest.fixture
 def faked(monkeypatch):
-    """What is fitted, and to what, is seen without a model: these names have other values."""
+    """Replace the fits by known values, and record which model is fitted to which run."""
 
     def fake(**names):
         model = {"takeichi_20m": lambda *_, **__: None, "ArmModel": lambda _: None}
@@ -104,7 +104,7 @@ def test_a_model_is_fitted_to_another_run_than_it_is_compared_with(fits, faked):
     for name in ("own", "with_air", "without_air", "own"):
         for run in fits.runs[:2]:
             Fits.result(fits, name, run)
-    # The paper's model once for each run, with air and without it.
+    # The paper's model is used once for each run, with air and without it.
     assert used == ["run4", "run1", "run2"]
 
 

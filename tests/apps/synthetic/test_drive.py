@@ -1,4 +1,4 @@
-"""What drives a synthetic run, and the rows it is written at."""
+"""The inputs of a synthetic run, and the rows at which it is written."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Gusts: von Karman's spectrum, its variance, and a wind that a run records."""
+"""Gusts: von Karman's spectrum, the variance, and a wind that is recorded with a run."""
 
 import numpy as np
 import pytest
@@ -18,13 +18,13 @@ def test_the_spectrum_has_the_variance(along):
     frequencies = np.geomspace(1e-6, 1e4, 200_001)
     density = gust_spectrum(frequencies, **WIND, along=along)
     assert np.trapezoid(density, frequencies) == pytest.approx(0.06**2, rel=2e-4)
-    # The inertial range of Kolmogorov: -5/3.
+    # Kolmogorov's inertial range has the slope -5/3.
     slope = np.diff(np.log(density[-2:])) / np.diff(np.log(frequencies[-2:]))
     assert slope == pytest.approx(-5 / 3, abs=1e-4)
 
 
 def test_the_components_are_those_of_isotropic_turbulence():
-    """S_across = (S_along - f dS_along/df) / 2, which needs no other formula."""
+    """S_across = (S_along - f dS_along/df) / 2, which requires no other formula."""
     frequencies = np.geomspace(1e-3, 10, 2001)
     along = gust_spectrum(frequencies, **WIND, along=True)
     across = gust_spectrum(frequencies, **WIND, along=False)
@@ -55,9 +55,9 @@ def test_a_long_wind_has_mean_and_deviations_along_its_own_axes():
     np.testing.assert_allclose(velocity.mean(axis=0), 0.5 * direction, atol=0.02)
     level = np.array([0.0, 1.0, 0.0])
     for axis, share in ((direction, 0.3), (level, 0.2), (np.cross(direction, level), 0.1)):
-        # What rows of 0.1 s do not resolve is left out: 5 % here.
+        # The part that rows of 0.1 s do not resolve is missing, here 5 %.
         assert np.std(velocity @ axis) == pytest.approx(0.5 * share, rel=0.15)
-    # Its spectrum, by a periodogram of 100 s stretches: half and twice a band.
+    # Compare with a periodogram of 100 s segments, at half and twice a band.
     one = (velocity @ direction - 0.5)[:-1].reshape(10, 1000)
     frequencies = np.fft.rfftfreq(1000, 0.1)
     density = 2 * 0.1 / 1000 * np.mean(np.abs(np.fft.rfft(one, axis=1)) ** 2, axis=0)
@@ -68,10 +68,10 @@ def test_a_long_wind_has_mean_and_deviations_along_its_own_axes():
 
 
 def test_it_is_smooth_enough_for_added_mass():
-    """No jump, and no wave that its rows do not resolve."""
+    """There are no jumps and no waves that the rows do not resolve."""
     wind = gusts([0, 0.2, 0], intensity=0.5, length_scale=0.5, duration=50.0, seed=4)
     signal = ramps(wind.times, columns(wind), tolerance=0.0)
-    # A signal of NumPy's arrays has the same corners: no program is needed to see it.
+    # A signal of NumPy arrays has the same corners, so no program is compiled.
     values, slopes = np.asarray(signal.values), np.asarray(signal.slopes)
     steps = np.diff(np.asarray(signal.times))[:, None]
     np.testing.assert_allclose(values[:-1] + slopes[:-1] * steps, values[1:], atol=1e-12)
@@ -109,7 +109,7 @@ def test_what_is_no_wind_is_refused(mean, changes, message):
 
 
 def test_what_rows_do_not_resolve_is_what_a_wind_lacks():
-    """By the hypergeometric integral along, and by a long wind across."""
+    """Compare with the hypergeometric integral (along) and with a long wind (across)."""
     along, across = gusts_left_out(0.2, length_scale=0.5, interval=0.1)
     highest = 2.5
     x = (2 * np.pi * 1.339 * 0.5 / 0.2 * highest) ** 2
@@ -120,13 +120,13 @@ def test_what_rows_do_not_resolve_is_what_a_wind_lacks():
     )
     assert np.var(columns(wind)[:, 0]) / 0.1**2 == pytest.approx(1 - across, abs=0.04)
     assert 0.05 < along < across < 0.3
-    # Of rows that are dense nothing is left out, and of rare ones all.
+    # With dense rows, nothing is missing; with rare rows, everything.
     assert max(gusts_left_out(0.2, length_scale=5.0, interval=1e-4)) < 1e-3
     assert min(gusts_left_out(0.2, length_scale=0.001, interval=10.0)) > 0.9
 
 
 def test_gusts_along_the_arm_are_coherent_over_distances():
-    """Over many winds: covariances are the integrals of spectrum times coherence."""
+    """Over many winds, the covariances are the integrals of spectrum times coherence."""
     places = np.array([[0.0, 0, 0], [0.1, 0, 0], [0.8, 0, 0]])
     scales = {"speed": 0.5, "length_scale": 1.0}
     rows = []
@@ -148,14 +148,14 @@ def test_gusts_along_the_arm_are_coherent_over_distances():
         gust_coherence(places, each, along=np.array([0.0, 1, 0]), **scales) for each in frequencies
     ]
     theory = np.trapezoid(density[:, None, None] * shared, frequencies, axis=0)
-    # A covariance of 120 winds has a standard error of about 0.13 of a variance.
+    # The standard error of a covariance of 120 winds is about 0.13 of the variance.
     np.testing.assert_allclose(found, theory, atol=0.3 * 0.2**2)
     assert theory[0, 0] > 1.5 * theory[0, 1] > 2 * theory[0, 2]
     assert theory[0, 2] < 0.2 * theory[0, 0]
 
 
 def test_gusts_come_later_along_the_mean_flow():
-    """Frozen, where nothing is lost across: 1 m at 0.5 m/s is 2 s, or twenty rows."""
+    """Frozen turbulence without lateral decay: 1 m at 0.5 m/s is 2 s, or twenty rows."""
     places = np.array([[0.0, 0, 0], [0, 1.0, 0]])
     wind = gusts([0, 0.5, 0], intensity=0.4, length_scale=1.0, duration=60.0, seed=3, places=places)
     first, second = (wind.values[f"link{link:02d}_wind_y"] for link in (1, 2))

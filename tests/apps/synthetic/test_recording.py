@@ -1,4 +1,4 @@
-"""Errors of a recording: each is what it says it is, and a run of any model may have them."""
+"""Errors of a recording: each has its documented statistics, for runs of any model."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_white_noise_is_white_and_stated():
 
 
 def test_drift_forgets_itself_as_an_ornstein_uhlenbeck_process_does():
-    """Unit variance, and correlation exp(-dt / tau), also where samples are unevenly spaced."""
+    """Unit variance and correlation exp(-dt / tau), also for unevenly spaced samples."""
     random = np.random.default_rng(1)
     times = np.cumsum(np.tile([0.1, 0.3], 100_000))
     values = drifting(times, 0.5, random)
@@ -67,7 +67,7 @@ def test_bursts_take_all_components_of_a_link():
     for cells in lost.values():
         assert cells.sum() == 800
         stretches = np.sum(np.diff(cells.astype(int)) == 1)
-        # About 16 stretches of 50 rows, fewer where they touch; a scatter would have hundreds.
+        # About 16 bursts of 50 rows, fewer if they overlap. Independent gaps would give hundreds.
         assert 5 <= stretches <= 25
 
 
@@ -120,7 +120,7 @@ def test_a_run_without_times_has_white_noise_only():
 
 @pytest.mark.slow
 def test_a_run_is_recorded_again_as_a_model_predicts_it():
-    """The sidecar stays what it was: the turned camera is for a fit to find."""
+    """The sidecar does not change, because a fit must find the rotated camera."""
     times = np.linspace(0.0, 2.0, 21)
     first = Run.from_arrays(
         times,

@@ -1,4 +1,4 @@
-"""Runs made by a model: what is recorded, and that it reads back as the same motion."""
+"""Runs simulated by a model: the recorded channels, and the same motion after reading back."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_noise_is_white_and_as_large_as_stated(model, clean):
     assert run.noise("joint02_angle") == pytest.approx(0.01)
     for name in CHANNELS:
         error = (run.values[name] - clean.values[name]) / run.noise(name)
-        # Four standard deviations of each estimate, for about 80 samples.
+        # The tolerance is four standard deviations of each estimate, for about 80 samples.
         count = len(error)
         assert abs(error.mean()) < 4 / np.sqrt(count)
         assert abs(error.std() - 1) < 4 / np.sqrt(2 * count)
@@ -88,7 +88,7 @@ def test_the_noise_of_a_channel_depends_on_the_seed_and_its_name_alone(model):
     run = noisy(model, missing=0.2)
     same = noisy(model, missing=0.2, channels=("tip_z", "tip_x", "link01_y"))
     other = noisy(model, missing=0.2, seed=1)
-    # Not bit for bit: another set of channels is another program, which rounds in its own way.
+    # Not bit for bit, because another set of channels is another program with other rounding.
     np.testing.assert_allclose(run.values["tip_z"], same.values["tip_z"], rtol=0, atol=1e-12)
     assert not np.allclose(np.nan_to_num(run.values["tip_z"]), np.nan_to_num(other.values["tip_z"]))
     error = run.values["tip_z"] - noisy(model).values["tip_z"]

@@ -1,4 +1,4 @@
-"""The runs of data/synthetic/ come out of their command lines again."""
+"""The runs of data/synthetic/ are reproduced by their command lines."""
 
 import hashlib
 import importlib.util
@@ -32,7 +32,8 @@ def test_the_runs_have_noise_gaps_and_a_truth():
     for path in FOLDER.glob("*.csv"):
         run = read_run(path)
         assert run.definition.sha256 == run.sha256
-        # The simulated prototype has no truth in terms of a model that is fitted to it.
+        # The true values of the simulated prototype are not parameters of a model that is fitted to
+        # it.
         if path.stem != "one_link":
             assert run.definition.truth
             assert all(run.noise(name) > 0 for name in run.observations)
@@ -40,13 +41,13 @@ def test_the_runs_have_noise_gaps_and_a_truth():
 
 @pytest.fixture
 def altered(tmp_path):
-    """The script on a copy of the folder, of which it looks at one run."""
+    """Run the script on a copy of the folder, for one of its runs."""
     shutil.copytree(FOLDER, tmp_path, dirs_exist_ok=True)
     return script(tmp_path / "regenerate.py")
 
 
 def restate(path, old, new, *, checksum):
-    """Replace text in a run; with `checksum` its sidecar is made to agree."""
+    """Replace text in a run; with `checksum`, the sidecar is updated accordingly."""
     text = path.read_text()
     assert text.count(old) == 1
     before = hashlib.sha256(text.encode()).hexdigest()
@@ -71,7 +72,7 @@ def test_a_changed_value_is_found_by_its_checksum(altered):
 def test_a_changed_value_is_found_by_simulating(altered):
     path = altered.HERE / "base_step.csv"
     value = first_value(path)
-    # Far below the noise of 0.02 m, and far above what another machine rounds.
+    # The change is far below the noise of 0.02 m, and far above rounding on another machine.
     restate(path, value, f"{float(value) + 1e-5:.8f}", checksum=True)
     (found,) = altered.differences("base_step")
     assert "link20_z differs by" in found

@@ -24,13 +24,13 @@ UNEVEN = {"length": [1.0, 0.8, 1.2], "diameter": [0.3, 0.25, 0.2], "mass": [0.05
 
 
 def uneven(**values):
-    """Three links, no two of which are alike."""
+    """Return three links that all differ."""
     made = Unrolling(filling=Filling(arm=takeichi_20m(3, **UNEVEN)))
     return replace(made, {path.replace("__", "."): value for path, value in values.items()})
 
 
 def along(x, key):
-    """What the link at x has of something for each link."""
+    """Return the value of a per-link quantity for the link at x."""
     ends = np.cumsum(UNEVEN["length"])
     return UNEVEN[key][int(np.searchsorted(ends[:-1], x, side="right"))]
 
@@ -40,7 +40,7 @@ def at(function, unrolling, x):
 
 
 def test_the_area_of_the_roll_is_that_of_its_layers():
-    """pi (R^2 - R0^2) = h (L - x), from a full roll to the bare core."""
+    """pi (R^2 - R0^2) = h (L - x), from a full roll to the empty core."""
     made = Unrolling()
     layer = np.pi * (RADIUS**2 - CORE**2) / LENGTH
     assert float(made.pitch) == pytest.approx(layer, rel=1e-12)
@@ -52,7 +52,7 @@ def test_the_area_of_the_roll_is_that_of_its_layers():
 
 @pytest.mark.parametrize("x", [0.1, 0.9, 1.5, 2.7])
 def test_inertia_is_that_of_all_layers(x):
-    """By quadrature over what is wound, of links that differ; the core is a thin tube."""
+    """Quadrature over the wound part, for links that differ; the core is a thin tube."""
     made = uneven(roll__core_mass=0.2)
     layer = np.pi * (RADIUS**2 - CORE**2) / 3.0
 
@@ -72,7 +72,7 @@ def test_inertia_is_that_of_all_layers(x):
 
 
 def test_a_solid_roll_has_half_of_m_r_squared():
-    """Of a uniform arm on next to no core: three halves of its mass against its speed."""
+    """A uniform arm on a very thin core has an effective mass of three halves of its mass."""
     made = replace(Unrolling(), {"roll.core_radius": 1e-9, "roll.core_mass": 1e-12})
     mass = 0.94 * (1 - 7.0 / LENGTH)
     assert float(at(rolling_mass, made, 7.0)) == pytest.approx(1.5 * mass, rel=1e-9)
@@ -80,7 +80,7 @@ def test_a_solid_roll_has_half_of_m_r_squared():
 
 @pytest.mark.parametrize("creep", [0.0, 0.3, 1.0])
 def test_bending_is_what_two_plates_take(creep):
-    """E t^3 / (12 (1 - nu^2)) for each film, bent from its own curvature; by quadrature."""
+    """E t^3 / (12 (1 - nu^2)) for each film, bent from its initial curvature; by quadrature."""
     made = uneven(film__creep=creep)
     stiffness = 2e8 * 50e-6**3 / (12 * (1 - 0.45**2))
     layer = np.pi * (RADIUS**2 - CORE**2) / 3.0
@@ -101,7 +101,7 @@ def test_bending_is_what_two_plates_take(creep):
 
 @pytest.mark.parametrize("x", [0.4, 1.3, 2.5])
 def test_forces_are_slopes_of_energies(x):
-    """By differences; the gas pushes with its pressure over the area of the tube."""
+    """Compare with differences; the gas acts with its pressure times the area of the tube."""
     made, speed, pressure = uneven(), 0.3, 7.0
     found = roll_forces(made, *map(jnp.asarray, (x, speed, pressure)))
     step = 1e-5
@@ -128,7 +128,7 @@ def test_a_roll_that_is_carried_has_no_weight():
 
 
 def test_layers_that_are_at_rest_are_held_by_what_pushes_them():
-    """The peel force has no sign at rest, and a slope."""
+    """The peel force has no sign at rest, but a slope."""
     made = Unrolling()
 
     def peel(speed):

@@ -1,4 +1,4 @@
-"""An arm that is unrolled: carpets, fronts that the flow limits, balances, and the hand-over."""
+"""Unrolling of an arm: carpets, fronts limited by the flow, balances, and the hand-over."""
 
 import functools
 
@@ -34,13 +34,13 @@ def by_hand():
 
 @functools.cache
 def by_gas():
-    """1.0 l/s in a tube of 300 mm."""
+    """Unroll by 1.0 l/s in a tube of 300 mm."""
     return unroll(made("by gas", supply__flow=1e-3))
 
 
 @functools.cache
 def carpet(carried):
-    """A roll that nothing drives but its weight, or its speed at the beginning."""
+    """Return a roll that is driven only by its weight or its initial speed."""
     speed = {"roll.start_speed": 0.2} if carried else {}
     return unroll(replace(made(hand="force", carried=carried), FREE | speed))
 
@@ -49,7 +49,7 @@ def energy(found):
     return np.sum(np.asarray(found.energies), axis=0)
 
 
-# A rigid carpet: no gas, no hand, nothing that is lost.
+# A rigid carpet: no gas, no hand, no losses.
 
 
 @pytest.mark.parametrize("carried", [False, True])
@@ -62,7 +62,7 @@ def test_a_carpet_keeps_its_energy(carried):
 
 @pytest.mark.parametrize("carried", [False, True])
 def test_the_speed_of_a_carpet_is_in_closed_form(carried):
-    """v^2 = (M0 v0^2 + 2 (U0 - U)) / M, with M, U of the rings that are wound, written out here."""
+    """v^2 = (M0 v0^2 + 2 (U0 - U)) / M, with M and U of the wound rings, written out here."""
     found = carpet(carried)
     x = found.paid_out
     square = 0.05**2 + (0.1**2 - 0.05**2) * (1 - x / LENGTH)
@@ -75,7 +75,7 @@ def test_the_speed_of_a_carpet_is_in_closed_form(carried):
 
 
 def test_a_carpet_at_half_of_its_radius_has_the_speed_of_the_textbook():
-    """sqrt(14 g R / 3), of a carpet without a core that begins at rest; it is soon beyond all."""
+    """sqrt(14 g R / 3) for a carpet without a core that starts at rest; later it diverges."""
     coreless = {"roll.core_radius": 1e-4, "roll.core_mass": 1e-9, "roll.start": 1e-3}
     found = unroll(replace(made(hand="force"), FREE | coreless), limit=22.5)
     expected = np.sqrt(14 * G * 0.1 / 3)
@@ -84,9 +84,9 @@ def test_a_carpet_at_half_of_its_radius_has_the_speed_of_the_textbook():
 
 
 def test_the_momentum_of_a_carpet_is_not_kept():
-    """What is laid down is at rest, and the floor has taken the momentum that it had.
+    """The carpet that is laid down is at rest, so the floor has taken its momentum.
 
-    Nor does the roll keep its speed, as a body does that sheds mass.
+    The speed of the roll changes, too, unlike that of a body that sheds mass.
     """
     found = carpet(carried=True)
     momentum = (MASS * (1 - found.paid_out / LENGTH) + 0.1) * found.speed
@@ -94,11 +94,11 @@ def test_the_momentum_of_a_carpet_is_not_kept():
     assert found.speed[-1] > 2.8 * found.speed[0]
 
 
-# By gas.
+# Driven by gas.
 
 
 def test_the_front_goes_as_fast_as_its_flow_fills_the_tube():
-    """v = Q / A: 14.15 mm/s of 1.0 l/s in 300 mm, and 23.3 min for 19.8 m."""
+    """v = Q / A: 14.15 mm/s for 1.0 l/s in 300 mm, and 23.3 min for 19.8 m."""
     found = by_gas()
     speed = 1e-3 / AREA
     assert speed * 1e3 == pytest.approx(14.15, abs=0.005)
@@ -110,12 +110,12 @@ def test_the_front_goes_as_fast_as_its_flow_fills_the_tube():
 
 
 def test_gas_is_conserved_from_the_supply_to_the_links():
-    """What was fed is in the tube by its pressure and volume, and in the links after that."""
+    """The fed gas is in the tube (pressure times volume), and in the links after that."""
     found = by_gas()
     assert found.imbalance < 1e-10
     fed = DENSITY * 1e-3 * found.times
     np.testing.assert_allclose(found.gas, fed, rtol=1e-10, atol=1e-15)
-    # By the law of gas: what is open, filled to where it is tight, at the room's pressure and more.
+    # Gas law: the open part is filled until it is tight, at room pressure plus overpressure.
     held = DENSITY * (1 + found.pressure / ROOM) * AREA * found.paid_out
     moving = found.times > 60
     np.testing.assert_allclose(held[moving], found.gas[moving], rtol=3e-3)
@@ -127,7 +127,7 @@ def test_gas_is_conserved_from_the_supply_to_the_links():
 
 
 def test_the_work_of_the_gas_is_what_the_roll_has_and_has_lost():
-    """Of a roll that is driven by gas, to 1e-8 of that work; by its columns, too."""
+    """For a roll that is driven by gas, to 1e-8 of that work; also computed from the columns."""
     found = by_gas()
     work = found.works.gas[-1]
     assert work > 5
@@ -135,7 +135,7 @@ def test_the_work_of_the_gas_is_what_the_roll_has_and_has_lost():
     gained = energy(found)[-1] - energy(found)[0]
     parts = gained + found.works.peel[-1] + found.works.loss[-1]
     assert parts == pytest.approx(work, rel=1e-8)
-    # Work is force by length, summed over rows by itself.
+    # Work is the integral of force over length, here a sum over rows.
     for name in ("gas", "peel", "loss"):
         force = np.abs(getattr(found.forces, name))
         summed = np.sum(np.diff(found.paid_out) * (force[1:] + force[:-1]) / 2)
@@ -144,7 +144,7 @@ def test_the_work_of_the_gas_is_what_the_roll_has_and_has_lost():
 
 
 def test_the_pressure_is_what_holds_the_front_over_its_area():
-    """At an even speed: peel, loss, bending and the roll's weight, written out, over the area."""
+    """At constant speed: peel, losses, bending and the weight of the roll, divided by the area."""
     found = by_gas()
     middle = np.searchsorted(found.paid_out, 10.0)
     x = found.paid_out[middle]
@@ -153,12 +153,12 @@ def test_the_pressure_is_what_holds_the_front_over_its_area():
     weight = G * (MASS / LENGTH * radius + wound * (0.1**2 - 0.05**2) / (2 * LENGTH * radius))
     bending = 2e8 * 50e-6**3 / (12 * (1 - 0.45**2)) * np.pi * 0.15 / square
     held = 0.3 + 10 * found.speed[middle] + bending - weight
-    # What is left is the change of the roll's inertia, v^2 small.
+    # The rest is the change of the roll's inertia, which is proportional to v^2 and small.
     assert found.pressure[middle] == pytest.approx(held / AREA, rel=1e-3)
 
 
 def test_a_regulator_and_its_roll_are_those_of_scipy():
-    """Three links behind 200 Pa: the equation of motion written out again, by another solver."""
+    """Three links at 200 Pa: the equation of motion is written out here for another solver."""
     nozzle = {"supply__pressure": 200.0, "supply__nozzle_diameter": 6e-3}
     case = made("by gas", links=3, kind="regulator", film__loss=20.0, **nozzle)
     found = unroll(case)
@@ -195,7 +195,7 @@ def test_a_regulator_and_its_roll_are_those_of_scipy():
     np.testing.assert_allclose(found.speed[-1], there.y[1, -1], rtol=1e-4)
 
 
-# By hand.
+# Unrolled by hand.
 
 
 def test_a_hand_that_holds_its_speed_takes_a_length_over_it():
@@ -204,7 +204,7 @@ def test_a_hand_that_holds_its_speed_takes_a_length_over_it():
     np.testing.assert_allclose(found.speed, 0.1)
     assert np.all(found.gas == 0)
     assert found.energy_imbalance < 1e-8 * found.works.hand[-1]
-    # Peel, and loss at this speed, less the weight: all along about 1.24 N.
+    # Peel and losses at this speed, minus the weight, give about 1.24 N everywhere.
     assert found.hand_force[0] == pytest.approx(0.3 + 1.0 - 0.066, abs=2e-3)
 
 
@@ -226,7 +226,7 @@ def test_a_hand_that_is_too_weak_does_not_unroll():
 
 
 def test_what_is_unrolled_first_is_filled_as_ever():
-    """The paper's order: `fill`, to the last bit, and its times after those of the hand."""
+    """The paper's order: the results of `fill`, bit for bit, with times after the hand-over."""
     found, filled = by_hand(), fill()
     for name in ("times", "gas", "pressure", "fullness", "supplied", "lift_off", "full"):
         np.testing.assert_array_equal(getattr(found.filled, name), getattr(filled, name))
@@ -236,7 +236,7 @@ def test_what_is_unrolled_first_is_filled_as_ever():
 
 
 def test_what_gas_unrolls_lifts_itself_before_it_is_all_paid_out():
-    """As much gas as in `fill`: at its time; a link when a part of it that bears it is open."""
+    """It needs as much gas as in `fill`; a link lifts when enough of it is open to carry it."""
     found = by_gas()
     wanted = MASS / (1.204 - DENSITY) / 1e-3
     assert found.arm_lift_off == pytest.approx(wanted, rel=1e-4)
@@ -249,7 +249,7 @@ def test_what_gas_unrolls_lifts_itself_before_it_is_all_paid_out():
 
 
 def test_an_arm_that_is_tight_at_the_hand_over_is_full_at_once():
-    """Layers that stick so much that the tube has 50 Pa."""
+    """The layers stick so strongly that the tube has 50 Pa."""
     found = unroll(made("by gas", links=3, film__peel=4.0, film__loss=30.0))
     assert found.pressure[-1] > 50
     assert found.filled.finished
@@ -259,7 +259,7 @@ def test_an_arm_that_is_tight_at_the_hand_over_is_full_at_once():
 
 
 def test_a_roll_that_runs_off_leaves_gas_behind():
-    """Without peel and loss its weight unrolls it, with little gas; filling does the rest."""
+    """Without peel and losses, its weight unrolls it with little gas; the filling adds the rest."""
     found = unroll(made("by gas", links=3, film__peel=0.0, film__loss=0.0))
     assert found.filled.gas[0].sum() == pytest.approx(found.gas[-1])
     assert found.gas[-1] < 0.3 * found.filled.supplied[-1]
@@ -292,7 +292,7 @@ SLOPES = {
 
 @pytest.mark.parametrize("order", SLOPES)
 def test_the_time_has_a_slope(order):
-    """Forwards, against differences."""
+    """Forward-mode derivatives, against differences."""
     case, paths = made(order, "speed" if order == "by gas" else "force", links=3), SLOPES[order]
     here = np.array([float(giajax.get(case, path)) for path in paths])
 
@@ -364,7 +364,7 @@ def test_a_definition_goes_to_the_unrolling_and_back():
 BAD = {
     "smaller than its core": (
         {"roll__radius": 0.04},
-        "the radius of the roll is 40 mm, and the radius of its core 50 mm: give a roll larger",
+        "the radius of the roll is 40 mm, but its core has a radius of 50 mm: give a roll larger",
     ),
     "denser than its film": (
         {"film__thickness": 1e-3},
@@ -382,12 +382,12 @@ BAD = {
     "density": ({"gas__density": -1.0}, "gas.density = -1 kg/m.3 is outside its bounds: choose"),
     "no flow": (
         {"order": "by gas", "supply__flow": 0.0},
-        "the arm is set to unroll by gas, but with supply.flow = 0 no gas flows: "
+        "the arm is set to unroll by gas, but no gas flows with supply.flow = 0: "
         "give a positive number, or",
     ),
     "no pressure": (
         {"order": "by gas", "kind": "regulator", "supply__pressure": 0.0},
-        "the arm is set to unroll by gas, but with supply.pressure = 0 no gas flows: "
+        "the arm is set to unroll by gas, but no gas flows with supply.pressure = 0: "
         "give a positive number",
     ),
 }
@@ -414,11 +414,11 @@ def test_a_bottle_with_too_little_stops_on_the_way():
     bottle = {"supply__bottle_pressure": 1e5, "supply__nozzle_diameter": 1e-3, "film__peel": 3.0}
     found = unroll(made("by gas", links=3, kind="bottle", **bottle), limit=300)
     assert not found.finished
-    # Of 20 l at twice the pressure of the room a bottle of 10 l keeps 10 l.
+    # From 20 l at twice the room pressure, a bottle of 10 l keeps 10 l.
     assert found.paid_out[-1] == pytest.approx(0.01 / AREA, rel=0.02)
 
 
 def test_what_cannot_be_followed_is_said():
-    """A roll that goes in jerks, a hundred of them a second."""
+    """A roll that moves in jerks, a hundred per second."""
     with pytest.raises(InputError, match=r"of the unrolling failed at .* increase film.loss"):
         unroll(made("by gas", film__loss=0.5))

@@ -1,4 +1,4 @@
-"""The camera of every page with an arm: all of the arm is seen, and it fills half the window."""
+"""The camera of every page with an arm shows all of the arm, and the arm fills half the window."""
 
 import time
 
@@ -25,7 +25,7 @@ CAMERA = """(() => {
 
 
 def lifted(count=9):
-    """An arm of ten links that is lifted and turned, as a scene."""
+    """Return the scene of an arm of ten links that is lifted and turned."""
     ends = np.arange(11.0)
     lift = np.linspace(0.0, 0.3, count)
     lines = []
@@ -41,10 +41,10 @@ def lifted(count=9):
 
 
 def projected(page, points):
-    """Where points (m) are in the window, px from its left; and whether the picture has all."""
+    """Return the positions of points (m) in the window, px from the left, and if all are inside."""
     seen = page.evaluate(CAMERA)
     world, lens = (np.reshape(seen[name], (4, 4)).T for name in ("world", "lens"))
-    # The scene of viser is drawn with y upwards, and turned about it.
+    # The scene of viser is drawn with y upwards, and rotated accordingly.
     turned = np.stack([-points[:, 1], points[:, 2], -points[:, 0], np.ones(len(points))])
     x, y, _, w = lens @ world @ turned
     inside = (w > 0) & (np.abs(x) < w) & (np.abs(y) < w)
@@ -52,19 +52,19 @@ def projected(page, points):
 
 
 def fills(page, points):
-    """Whether all points are seen, and are half as wide as the window at least."""
+    """Return whether all points are visible and at least half as wide as the window."""
     across, inside, window = projected(page, points)
     return inside and np.ptp(across) > 0.5 * window
 
 
 def resize(page, width):
-    """The size of the window, in pixels of the page; few of the screen, which software draws."""
+    """Set the size of the window; a low resolution, because it is rendered in software."""
     size = {"width": width, "height": 700, "deviceScaleFactor": 0.25, "mobile": False}
     page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
 def check(page, points, seconds=180.0):
-    """At both widths, each after the other: a window that is resized, too."""
+    """Check both widths in turn, which includes resizing the window."""
     for width in (*WIDTHS, WIDTHS[0]):
         resize(page, width)
         end = time.monotonic() + seconds
@@ -85,7 +85,7 @@ def ends_of(scene):
 
 
 def test_an_outline_has_the_arm_at_every_sample():
-    """No point of a surface is farther in any direction than the outline is, to 5 cm."""
+    """In any direction, no point of a surface is more than 5 cm outside the outline."""
     scene = lifted()
     found = outline(scene)
     random = np.random.default_rng(0).normal(size=(50, 3))
@@ -104,7 +104,7 @@ def page(browser, tmp_path):
 
 
 def test_a_file_shows_all_of_the_arm(page, tmp_path):
-    """As of `giajax view --page`, `mission --page` and `life`."""
+    """The page is that of `giajax view --page`, `mission --page` and `life`."""
     out = tmp_path / "lift.html"
     scene = lifted()
     seen = {"tip": scene.markers["tip"] + 0.1}
@@ -125,13 +125,53 @@ def test_a_file_shows_all_of_the_arm(page, tmp_path):
     assert not page.complaints
 
 
+# The first bytes of the two formats, after the size of the first box of an MP4 file.
+_STARTS = {"mp4": (4, b"ftyp"), "webm": (0, b"\x1aE\xdf\xa3")}
+
+
+def test_a_video_of_the_scene_is_saved(page, tmp_path):
+    out = tmp_path / "lift.html"
+    out.write_bytes(recording([Show("a lift", lifted(), {})]))
+    page.open(out.as_uri())
+    page.wait(READY, 120)
+    resize(page, WIDTHS[1])
+    page.evaluate(
+        """(() => {
+          const saved = window.saved = {};
+          const address = URL.createObjectURL;
+          URL.createObjectURL = (blob) => {
+            blob.arrayBuffer().then((data) => { saved.data = [...new Uint8Array(data)]; });
+            return address(blob);
+          };
+          HTMLAnchorElement.prototype.click = function () { saved.name = this.download; };
+        })()"""
+    )
+    button = (
+        "[...document.querySelectorAll('#legend button')].find((b) => /video/.test(b.textContent))"
+    )
+    assert page.evaluate(f"{button}.textContent") == "record a video"
+    page.evaluate(f"{button}.click()")
+    assert page.evaluate(f"{button}.textContent") == "stop and save the video"
+    time.sleep(2.0)
+    page.evaluate(f"{button}.click()")
+    page.wait("window.saved.data && window.saved.name", 60)
+    stem, ending = page.evaluate("window.saved.name").split(".")
+    at, start = _STARTS[ending]
+    data = bytes(page.evaluate("window.saved.data.slice(0, 64)"))
+    assert stem == "a_lift"
+    assert data[at : at + len(start)] == start
+    assert page.evaluate("window.saved.data.length") > 500
+    assert page.evaluate(f"{button}.textContent") == "record a video"
+    assert not page.complaints
+
+
 def test_a_live_page_shows_all_of_the_arm(page):
     viewer = Viewer([Posable(ArmModel(takeichi_20m(4)), "arm")])
     try:
         page.open(viewer.address)
         page.wait(READY, 120)
         check(page, ends_of(viewer.shows[0].scene))
-        # The settings of viser have the address, and are shown by a button.
+        # The viser settings contain the address, and a button shows them.
         token = viewer.address.split("/")[3]
         having = (
             f"[...document.querySelectorAll('input')].filter((o) => o.value.includes('{token}'))"

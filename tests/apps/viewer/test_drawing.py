@@ -1,4 +1,4 @@
-"""What is drawn: shapes, turns, samples on one clock, and what is cut off."""
+"""Drawing: shapes, rotations, samples on a common clock, and clipping."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.quick
 
 
 def moving(times=(0.0, 0.5, 1.0)):
-    """A link that rises, with a marker at its end and a thread beside it."""
+    """Return a link that rises, with a marker at its end and a thread beside it."""
     count = len(times)
     heights = np.arange(count, dtype=float)
     points = np.zeros((count, 2, 3))
@@ -47,7 +47,7 @@ def moving(times=(0.0, 0.5, 1.0)):
 
 @pytest.mark.parametrize(("shape", "volume"), [(tube, np.pi), (ball, 4 / 3 * np.pi), (brick, 1.0)])
 def test_meshes_are_closed_and_look_outwards(shape, volume):
-    """By the divergence theorem; a body of facets is a little less."""
+    """Check the volume by the divergence theorem; a faceted body has slightly less."""
     mesh = shape()
     corners = mesh.vertices[mesh.faces]
     found = np.sum(corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])) / 6
@@ -130,7 +130,7 @@ def test_scales_and_pieces_are_those_of_the_scene():
 
 
 def test_ground_is_cut_to_what_is_near():
-    """Its surface stays where it is; a box with an end stays as it is."""
+    """The surface of the ground stays where it is; a finite box is not changed."""
     low, high = np.array([0.0, -0.2, -0.2]), np.array([20.0, 0.2, 3.0])
     tilt = np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     for axes in (np.eye(3), tilt):

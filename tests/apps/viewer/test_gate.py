@@ -1,4 +1,4 @@
-"""The gate: nothing without the token, everything with it."""
+"""The gate: access to everything with the token, and to nothing without it."""
 
 import html
 import socket
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.quick
 
 
 class _Echo(BaseHTTPRequestHandler):
-    """Answers with the path that it was asked for."""
+    """Answers with the requested path."""
 
     def do_GET(self):
         self.send_response(200)
@@ -44,7 +44,7 @@ class _Echo(BaseHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def page():
-    """A server of pages, and one that repeats what it is told."""
+    """Start a page server, and one that echoes its input."""
     places = [PrivateSocket(), PrivateSocket()]
     pages = ThreadingUnixStreamServer(str(places[0].path), _Echo)
     repeats = unix_serve(
@@ -94,7 +94,7 @@ def test_what_is_no_request_ends(page):
 
 
 def test_a_connection_carries_one_request(page):
-    """The second one would pass without being read."""
+    """A second request would pass without being checked."""
     with socket.create_connection((page.host, page.port), timeout=10) as connection:
         connection.sendall(
             f"GET /{page.token}/first HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode()
@@ -122,7 +122,7 @@ def test_a_connection_carries_one_request(page):
     ],
 )
 def test_what_another_page_asks_for_is_refused(page, fields):
-    """Even with the token: by its origin, or by a name of its own that leads here."""
+    """Even with the token, because of its origin, or because its host name resolves to here."""
     assert asked(page, fields)[:12] == b"HTTP/1.1 403"
 
 
@@ -133,7 +133,7 @@ def test_names_of_this_machine_are_let_in(page, host):
 
 
 def asked(page, fields):
-    """The answer to a request with these fields, and the token."""
+    """Return the answer to a request with these fields and the token."""
     lines = [each.format(port=page.port) for each in [f"GET /{page.token}/ HTTP/1.1", *fields]]
     with socket.create_connection((page.host, page.port), timeout=10) as connection:
         connection.sendall("\r\n".join([*lines, "", ""]).encode())
@@ -203,7 +203,7 @@ def test_one_peer_has_so_many_sockets(page):
         assert words.recv(timeout=10) == "again hello"
 
 
-# A page, and a gate that may have few files open.
+# A page, and a gate that may open only a few files.
 FLOODED = """
 import resource, sys, threading, time
 from http.server import BaseHTTPRequestHandler
@@ -228,7 +228,7 @@ gate.close()
 
 
 def test_silent_connections_keep_nobody_out():
-    """284 of them took all files of the process, and each attempt wrote a traceback."""
+    """284 connections used up all file descriptors, and each further attempt wrote a traceback."""
     running = subprocess.Popen(
         [sys.executable, "-c", FLOODED],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -241,7 +241,7 @@ def test_silent_connections_keep_nobody_out():
             stack.enter_context(socket.create_connection((host, int(port)), timeout=10))
         began = time.monotonic()
         assert read(address) == "here"
-        assert time.monotonic() - began < 5.0  # the silent ones have 10 s
+        assert time.monotonic() - began < 5.0  # silent connections are kept for 10 s
         assert running.communicate("", timeout=30) == ("", "")
     assert running.returncode == 0
 
@@ -270,7 +270,7 @@ def test_a_port_in_use_is_one_sentence(page):
 
 
 def test_a_token_is_in_no_words_of_a_process(monkeypatch):
-    """Others see what a browser is started with, and cannot read the file that it opens."""
+    """Other users can see how a browser is started, but cannot read the file that it opens."""
     opened = []
     monkeypatch.setattr(webbrowser, "open", opened.append)
     address = 'http://127.0.0.1:8000/?token=abc&more="d'

@@ -1,4 +1,4 @@
-"""The viewer as a user sees it: its files, its page in a browser, and its errors."""
+"""The viewer from a user's perspective: its files, its page in a browser, and its errors."""
 
 import dataclasses
 import time
@@ -32,14 +32,14 @@ from small_arm import small_run
 
 @pytest.fixture(scope="module")
 def run_and_show(tmp_path_factory):
-    """A small run, and how it is shown."""
+    """Return a small run, and the function that shows it."""
     folder = tmp_path_factory.mktemp("shown")
     return small_run(folder), shown(folder / "run.csv")
 
 
 @pytest.fixture(scope="module")
 def show(run_and_show):
-    """A small arm that moves, and where a camera saw it: a little to the left."""
+    """Show a small arm in motion, and where a camera saw it, shifted slightly to the left."""
     scene = run_and_show[1].scene
     seen = {name: points + np.array([0.0, 0.5, 0.0]) for name, points in scene.markers.items()}
     return Show("swing", scene, seen)
@@ -78,13 +78,13 @@ POSED = {"arm": {"links": 2}, "initial": {"first_row": True}}
 
 
 def angles_of(count, lift):
-    """Two joints that lift by so much (rad) in a second."""
+    """Return two joint angles that increase by `lift` (rad) in one second."""
     times = np.linspace(0.0, 1.0, count)
     return times, {"joint01_angle": lift * times, "joint02_angle": 0.0 * times}
 
 
 def test_an_arm_is_posed_by_its_recorded_angles():
-    """Nothing is simulated: an arm that would fall stays where its angles say."""
+    """Nothing is simulated: an arm that would fall stays at its recorded angles."""
     times, angles = angles_of(5, 0.4)
     found = posed(giajax.Run.from_arrays(times, angles, definition=POSED), "truth")
     link = found.scene.lines[0].points[:, 1]
@@ -98,7 +98,7 @@ def test_an_arm_is_posed_by_its_recorded_angles():
 
 
 def tracked_folder(folder, lift=0.4):
-    """What `giajax track` writes of an arm of two links, as far as it is shown."""
+    """Write the part of the output of `giajax track` that is shown, for an arm of two links."""
     times, angles = angles_of(5, lift)
     giajax.write_run(folder / "estimate.csv", times, angles, definition=POSED)
     (folder / "track.json").write_text("{}")
@@ -121,7 +121,7 @@ def test_a_track_is_shown_with_its_bands(tmp_path):
     assert_allclose(found.bands.halves[2] / BAND, [[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])
     size = BAND * np.linalg.norm([0.04, 0.05, 0.06])
     assert f"tip within {1e3 * size:.1f} mm of the estimate" in words(found, 2, "blue")
-    # One of an earlier version has the states alone.
+    # A file of an earlier version contains only the states.
     (tmp_path / "bands.csv").write_text("time_s\n" + 5 * "0\n")
     old = shown(tmp_path)
     assert old.bands is None
@@ -171,7 +171,7 @@ def test_bands_and_truth_are_on_the_page(page, tmp_path):
     viewer = Viewer(found, overlay=True)
     try:
         balls = viewer.stages[0]._handles["bands/ellipsoids"][0]
-        # About the balloon, whose radius is 15 cm.
+        # The ellipsoid surrounds the balloon, whose radius is 15 cm.
         assert_allclose(balls.batched_scales, 0.15 + found[0].bands.halves[0], rtol=1e-6)
         assert "bands" not in viewer.stages[1].layers()
         page.open(viewer.address)
@@ -190,7 +190,7 @@ def test_a_file_plays_without_a_server(show, page, tmp_path):
         in (out.read_bytes()[:1000])
     )
     page.open(out.as_uri())
-    # Its clock runs.
+    # The clock is running.
     page.wait("document.querySelector('[role=slider]') !== null")
     first = page.evaluate("document.querySelector('[role=slider]').ariaValueNow")
     page.wait(f"document.querySelector('[role=slider]').ariaValueNow != '{first}'")
@@ -210,7 +210,7 @@ def test_the_page_plays_and_hides(show, page):
         page.evaluate(f"{button}.click()")
         page.wait("!document.body.innerText.includes('time 0.00 s')")
         assert viewer.player.playing
-        # Beside those of viser itself: "repeat", and then the layers.
+        # Besides the boxes of viser: "repeat", and then the layers.
         box = "document.querySelectorAll('input[type=checkbox]:not([id^=mantine])')[1]"
         layer = viewer.stages[0]._layers["balloons"]
         assert layer.visible
@@ -234,7 +234,7 @@ def test_the_gate_is_the_only_door(show):
 
 
 def test_a_viser_that_listens_elsewhere_is_not_used(show, monkeypatch):
-    """One that does not ask `websockets` for its socket in the way that is known."""
+    """This version does not request its socket from `websockets` in the known way."""
     before = open_ports()
     monkeypatch.setattr(_backend, "_listening_at", lambda *_: nullcontext())
     with pytest.raises(InputError, match=r"opens a port that other accounts can reach: pip inst"):
@@ -255,7 +255,7 @@ def test_sliders_move_the_arm(page):
                     "Input.dispatchKeyEvent", type=kind, key="ArrowRight", code="ArrowRight",
                     windowsVirtualKeyCode=39,
                 )  # fmt: skip
-        # All four, of half a degree each, have come.
+        # All four commands of half a degree have arrived.
         height = float(np.sum(chain.links.length)) * np.sin(np.deg2rad(2.0))
         page.wait(f"document.body.innerText.match(/tip at [0-9.]+, 0.000, {height:.3f}/)")
         link = viewer.stages[0].show.scene.lines[0].points[0]
@@ -266,7 +266,7 @@ def test_sliders_move_the_arm(page):
 
 
 def test_markers_are_where_a_camera_sees_them(show, page):
-    """Rendered by the browser, against our projection: within a pixel."""
+    """Rendered by the browser, and compared with our projection: within one pixel."""
     camera = Pinhole(
         position=[1.5, -6.0, 0.8], rotation=[0.05, 0.02, np.pi / 2 + 0.1], focal_length=600.0,
         centre=[319.5, 239.5], size=(640, 480),
@@ -305,7 +305,7 @@ def test_markers_are_where_a_camera_sees_them(show, page):
     ("words", "said"),
     [
         (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
-        (["arm.toml", "arm.toml"], "a TOML file that states no motion must be the only argument"),
+        (["arm.toml", "arm.toml"], "the TOML file of an arm contains no motion, so it must be"),
         (["arm.toml", "--page", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),
         (

@@ -1,4 +1,4 @@
-"""Drag along the links, C_D by Reynolds number, added mass and unsteady wind in closed form."""
+"""Strip drag, C_D by Reynolds number, added mass and unsteady wind, against closed forms."""
 
 import dataclasses
 import functools
@@ -41,7 +41,7 @@ def one_link(*, axes=("yaw",), **options):
 def test_drag_along_a_link_that_turns_about_its_end():
     """dF = 1/2 rho C_D d (w s)^2 ds: force rho C_D d w^2 L^3 / 6, torque rho C_D d w^2 L^4 / 8.
 
-    Two points are exact here, one is the drag of the centre: L^4 / 16.
+    Two points are exact here. One point gives the drag of the centre, L^4 / 16.
     """
     rates = jnp.array([-2.0])
     strength = DENSITY * 1.2 * DIAMETER * 2.0**2
@@ -61,7 +61,7 @@ def test_the_wind_across_and_along_a_link():
     half_area = 0.5 * DENSITY * LENGTH * DIAMETER
     force = drag_force(arm, STILL, STILL, wind)
     assert_allclose(force, [[half_area * 0.05 * 9, 0, half_area * 1.2 * 16]], rtol=1e-12)
-    # Without an axial coefficient nothing acts along the link; eq. (1) acts along the wind.
+    # Without an axial coefficient, there is no force along the link; eq. (1) acts along the wind.
     smooth = drag_force(one_link(drag="strip"), STILL, STILL, wind)
     assert_allclose(smooth, [[0, 0, half_area * 1.2 * 16]], rtol=1e-12, atol=1e-15)
     by_eq_1 = drag_force(one_link(), STILL, STILL, wind)
@@ -70,9 +70,9 @@ def test_the_wind_across_and_along_a_link():
 
 @pytest.mark.slow
 def test_drag_along_the_link_converges_with_the_number_of_points():
-    """The power of the drag on an arm that flails, where the flow turns round along the links.
+    """Power of the drag on a flailing arm, whose relative air speed changes sign along the links.
 
-    There |V| V has a kink, and a Gauss rule no more than the order that a kink allows.
+    There, |V| V has a kink, which limits the order of a Gauss rule.
     """
     states = random_states(3, 6)
     general = full_arm(3)
@@ -102,7 +102,7 @@ def test_the_drag_curve_follows_the_points():
     reynolds, logarithm = points()
     found = np.log10(cylinder_drag_coefficient(jnp.asarray(reynolds)))
     assert np.sqrt(np.mean((found - logarithm) ** 2)) < 0.037
-    # A cylinder of this size in a step of 30 deg: Re 60 .. 9000, C_D about 1.
+    # A cylinder of this size in a step of 30 deg has Re 60 .. 9000 and C_D of about 1.
     middle = cylinder_drag_coefficient(jnp.geomspace(300.0, 9000.0, 20))
     assert np.all((middle > 0.85) & (middle < 1.15))
 
@@ -116,7 +116,7 @@ def test_the_coefficients_of_the_curve_are_the_fit_to_the_points():
 
 
 def test_the_drag_curve_falls_rises_and_falls_as_it_should():
-    """Creeping flow, the bucket before 1e4, the plateau of 1e5, the crisis, and the recovery."""
+    """Creeping flow, the minimum below 1e4, the plateau at 1e5, the drag crisis, the recovery."""
 
     def ordered(low, high):
         return np.diff(cylinder_drag_coefficient(jnp.geomspace(low, high, 400)))
@@ -130,7 +130,7 @@ def test_the_drag_curve_falls_rises_and_falls_as_it_should():
 
 
 def test_slopes_of_the_drag_curve_are_those_of_its_differences():
-    """From creeping flow to beyond the crisis, and those of the slopes."""
+    """First and second derivatives, from creeping flow to beyond the crisis."""
     reynolds = jnp.geomspace(1e-3, 9.9e6, 300)
     apart = 1e-5 * reynolds
     for function in (cylinder_drag_coefficient, jax.vmap(jax.grad(cylinder_drag_coefficient))):
@@ -147,7 +147,7 @@ def test_the_drag_curve_has_finite_slopes_everywhere():
     slopes = jax.jit(jax.vmap(jax.grad(cylinder_drag_coefficient)))(reynolds)
     assert np.all(np.isfinite(slopes))
     assert slopes[0] == 0
-    # Level beyond the points.
+    # The curve is constant outside its points.
     for near, far in (0.0, 1e-4), (1e7, 1e12):
         assert_allclose(*cylinder_drag_coefficient(jnp.array([near, far])), rtol=1e-4)
 
@@ -164,7 +164,7 @@ def test_the_drag_coefficient_is_that_at_a_reynolds_number_of_1e5(drag):
 
 
 def test_the_power_of_drag_is_the_loss_of_every_piece():
-    """-1/2 rho C_D d int |V|^3 ds of a link that turns about its end: rho C_D d w^3 L^4 / 8."""
+    """-1/2 rho C_D d int |V|^3 ds for a link that turns about its end: rho C_D d w^3 L^4 / 8."""
     arm = one_link(drag="strip")
     expected = -DENSITY * 1.2 * DIAMETER * 2.0**3 * LENGTH**4 / 8
     assert_allclose(drag_power(arm, STILL, jnp.array([2.0])), expected, rtol=1e-12)
@@ -172,7 +172,7 @@ def test_the_power_of_drag_is_the_loss_of_every_piece():
 
 @pytest.mark.parametrize("coefficient", [0.5, 1.0])
 def test_the_air_that_turns_with_a_link(coefficient):
-    """1/2 int C_a rho A (w s)^2 ds = 1/2 (C_a rho V L^2 / 3) w^2 about an end; about itself 0."""
+    """1/2 int C_a rho A (w s)^2 ds = 1/2 (C_a rho V L^2 / 3) w^2 about an end, 0 about its axis."""
     rates = jnp.array([1.5])
     added = {"air.added_mass_coefficient": coefficient}
     for axis, inertia in ("yaw", coefficient * DISPLACED * LENGTH**2 / 3), ([1, 0, 0], 0.0):
@@ -182,7 +182,7 @@ def test_the_air_that_turns_with_a_link(coefficient):
 
 
 def test_a_link_is_heavier_across_itself_than_along():
-    """At the end of a lever that is as long as the links are short, M / R^2 is the moving mass."""
+    """At the end of a lever much longer than the link, M / R^2 is the effective mass."""
     lever = 1e6
     for axis, angle, share in ("yaw", np.pi / 2, 0.0), ([1, 0, 0], 0.0, 1.0):
         arm = takeichi_20m(
@@ -207,7 +207,7 @@ def test_gravity_does_not_weigh_the_air_that_moves_along():
 
 
 def test_a_growing_wind_pushes_a_held_link():
-    """rho V (1 + C_a) du/dt across it, rho V du/dt along it (pressure alone)."""
+    """rho V (1 + C_a) du/dt across the link, rho V du/dt along it (due to the pressure alone)."""
     gust, coefficient = 2.0, 0.7
     arm = takeichi_20m(
         2, joint_axes=["yaw", "yaw"], parameters={"air.added_mass_coefficient": coefficient}
@@ -218,13 +218,13 @@ def test_a_growing_wind_pushes_a_held_link():
     held = inverse_dynamics(arm, still, still, still, calm, rate)
     levers = np.array([LENGTH / 2 + 3 * LENGTH / 2, LENGTH / 2])
     assert_allclose(held, -across * levers, rtol=1e-12)
-    # The second link turned into the wind, at the end of the first.
+    # The second link is parallel to the wind, at the end of the first.
     bent = inverse_dynamics(arm, jnp.array([0.0, np.pi / 2]), still, still, calm, rate)
     assert_allclose(bent, [-(across * LENGTH / 2 + along * LENGTH), 0], rtol=1e-12, atol=1e-15)
 
 
 def test_a_wind_of_each_link_acts_on_each():
-    """At rest drag is that of the link alone, and so is the push of a wind that grows."""
+    """At rest, the drag and the force of a changing wind depend only on the wind at the link."""
     arm = takeichi_20m(3, drag="strip", parameters={"air.added_mass_coefficient": 0.7})
     random = np.random.default_rng(2)
     winds, growing = random.normal(size=(2, 3, 3))
@@ -234,7 +234,7 @@ def test_a_wind_of_each_link_acts_on_each():
         alone = drag_force(arm, still, still, jnp.asarray(wind))
         assert_allclose(forces[link], alone[link], rtol=1e-12)
         assert np.abs(alone[(link + 1) % 3] - forces[(link + 1) % 3]).max() > 1e-3
-    # Loads of a wind along a chain are the sum of those on its links, each where it is.
+    # The loads of a wind along a chain are the sum of the loads of the winds at single links.
     state = (still, still, still)
     torque = inverse_dynamics(arm, *state, jnp.asarray(winds), jnp.asarray(growing))
     parts = 0.0
@@ -243,7 +243,7 @@ def test_a_wind_of_each_link_acts_on_each():
         one[link], its[link] = winds[link], growing[link]
         parts += inverse_dynamics(arm, *state, jnp.asarray(one), jnp.asarray(its))
     assert_allclose(torque, parts, rtol=1e-10)
-    # And the derivative of a motion by the wind of a link, through the custom one of dynamics.
+    # The derivative with respect to the wind at a link uses the custom derivative of the dynamics.
     forward = functools.partial(acceleration, arm, still, still, still)
     aside = jnp.zeros((3, 3)).at[1, 2].set(1e-6)
     ahead, behind = (forward(jnp.asarray(winds) + sign * aside) for sign in (1, -1))
@@ -259,7 +259,7 @@ def test_a_wind_of_each_link_acts_on_each():
 
 
 def test_the_couple_of_munk_turns_a_link_across_the_wind():
-    """A slender body in a steady stream without drag: no force, m_a U^2 sin(2 a) / 2 about it."""
+    """A slender body in a steady stream without drag: no force, but m_a U^2 sin(2 a) / 2."""
     arm = one_link(parameters={"air.added_mass_coefficient": 0.8, "air.drag_coefficient": 0.0})
     for angle in np.linspace(-1.5, 1.5, 7):
         wind = 3.0 * jnp.array([np.cos(angle), np.sin(angle), 0.0])
@@ -284,7 +284,7 @@ def test_the_arms_own_wind_is_added_to_that_of_the_run():
 
 
 def test_an_option_at_nothing_is_an_option_left_out():
-    """Switched on at zero, every option gives what the arm without it gives."""
+    """With a value of zero, every option gives the same result as the arm without it."""
     zeros = {
         "joints.friction": 0.0,
         "joints.armature": 0.0,

@@ -1,4 +1,4 @@
-"""jvp and vjp of every public function of the arm, moving and at rest, under jit and vmap."""
+"""jvp and vjp of every public function of the arm, in motion and at rest, under jit and vmap."""
 
 import equinox as eqx
 import jax
@@ -33,7 +33,7 @@ FUNCTIONS = {
 
 
 def states():
-    """Two large movements, and an arm that is straight and at rest in still air."""
+    """Return two large motions, and a straight arm at rest in still air."""
     moving = random_states(LINKS, 2)
     moving["gust"] = random_states(LINKS, 2, seed=4)["wind"]
     moving["torques"] = random_states(LINKS, 2, seed=3)["command"]
@@ -59,11 +59,11 @@ def test_no_public_function_is_left_out():
         *mechanics.PRESETS,
     }
     without_state = {"cylinder_drag_coefficient", "net_lift", "bodies", "lift"}
-    # In test_contact, test_joint_memory and test_pneumatics.
+    # Tested in test_contact, test_joint_memory and test_pneumatics.
     of_memory = {"hysteresis_power"}
     of_muscles = {"muscle_power"}
     of_contact = {"clearance", "contact_energy", "contact_stiffness", "touch", "touched"}
-    # Parts of those that are tested, which rooms above and tests of identities use.
+    # Parts of tested functions, which other packages and the tests of identities use.
     parts = {"carried_inertia", "eliminate_and_solve", "motion_and_momentum", "solve_eliminated"}
     parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law", "check_wind"}
     parts |= {"angular_velocities", "joint_forces"}  # in test_sensor_objects
@@ -72,7 +72,7 @@ def test_no_public_function_is_left_out():
 
 
 def cases():
-    """Of each function and arm, `acceleration` goes through those that take longest to compile."""
+    """Yield functions and arms; `acceleration` includes the parts that take longest to compile."""
     for name in FUNCTIONS:
         dynamics = name in ("forward_dynamics", "inverse_dynamics")
         yield pytest.param(name, general_arm, marks=[pytest.mark.slow] if dynamics else [])
@@ -82,7 +82,7 @@ def cases():
 
 @pytest.mark.parametrize(("name", "build"), list(cases()))
 def test_both_modes_agree_with_differences(name, build):
-    """One random direction over every number of the arm, of the state and of the wind at once."""
+    """Compare along one random direction in all numbers of the arm, the state and the wind."""
     function = getattr(mechanics, name)
     arm = build(LINKS)
     known = states()
@@ -107,14 +107,14 @@ def test_both_modes_agree_with_differences(name, build):
     def derivatives(state, d_state):
         out, push = jax.linearize(function, arm, *state)
         tangent = push(d_arm, *d_state)
-        # A linear map is known by <c, J d> = <J' c, d>, with any c.
+        # The adjoint of a linear map satisfies <c, J d> = <J' c, d> for any c.
         cotangent = jnp.cos(jnp.arange(out.size, dtype=out.dtype)).reshape(out.shape)
         gradient = jax.linear_transpose(push, arm, *state)(cotangent)
         pairs = zip(jax.tree.leaves(gradient), jax.tree.leaves((d_arm, *d_state)), strict=True)
         return tangent, jnp.vdot(cotangent, tangent), sum(jnp.vdot(g, d) for g, d in pairs)
 
     tangent, forward, reverse = derivatives(state, d_state)
-    # |V| V has no third derivative at rest: a difference there is off by its step, not its square.
+    # |V| V has no third derivative at rest, so the error of a difference is of first order.
     step = 1e-7
     expected = (values(*shifted(step)) - values(*shifted(-step))) / (2 * step)
     scale = np.abs(expected).max()
@@ -131,7 +131,7 @@ def test_drag_of_a_resting_arm_has_no_slope_but_that_of_moving_air_has():
         return jax.jacfwd(lambda rates: mechanics.drag_force(arm, still, rates, wind))(still)
 
     assert_allclose(slope(jnp.zeros(3)), np.zeros((LINKS, 3, LINKS)), atol=0)
-    # Across a wind U, dF/dV = -K U (normal component); along it, -2 K U.
+    # In a wind U, dF/dV is -K U across the wind and -2 K U along it.
     force = 0.5 * 1.204 * 1.2 * 0.99 * 0.3
     across = slope(jnp.array([0.2, 0.0, 0.0]))[0, 2, 0]
     along = slope(jnp.array([0.0, 0.0, 0.2]))[0, 2, 0]
@@ -140,7 +140,7 @@ def test_drag_of_a_resting_arm_has_no_slope_but_that_of_moving_air_has():
 
 @pytest.mark.slow
 def test_acceleration_from_rest_is_that_of_the_springs():
-    """At rest d(acceleration)/d(command) = M^-1 K, and of the arm only gravity would move it."""
+    """At rest, d(acceleration)/d(command) = M^-1 K, and only gravity would accelerate the arm."""
     arm, still = takeichi_20m(LINKS), jnp.zeros(LINKS)
 
     @jax.jit
@@ -168,6 +168,6 @@ def test_batches_of_arms_are_batches_of_derivatives():
 
     both = eqx.filter_jit(jax.vmap(jax.value_and_grad(first), (0, None)))
     values, slopes = both(coefficients, state["wind"])
-    # Acceleration is linear in the drag coefficient.
+    # The acceleration is linear in the drag coefficient.
     assert_allclose(np.diff(values) / np.diff(coefficients), slopes[1:], rtol=1e-10)
     assert_allclose(slopes, slopes[0], rtol=1e-10)

@@ -1,4 +1,4 @@
-"""Necks in the joints with muscles of an arm: the moment of the joint at rest, with its gas."""
+"""Necks in the joints with muscles of an arm: the joint torque at rest with the gas of the arm."""
 
 import equinox as eqx
 import jax
@@ -19,9 +19,9 @@ NECK = {"neck.radius": 0.045, "neck.length": 0.03}
 GAS = np.asarray([1100.0, 950.0, 1200.0, 1000.0])
 PRESSURES = jnp.asarray([[2.8e4, 0, 3.1e4, 0], [2.6e4, 0, 2.2e4, 0]])
 FIRST = 0.03 * (950.0 * np.pi * 0.045**2 - 3.5) / (2 * np.pi * 1e4 * 0.045**2)
-"""Near this angle the neck of joint 3 wrinkles, rad."""
+"""Angle at which the neck of joint 3 starts to wrinkle, rad."""
 SHUT = 0.03 / (2 * 0.045)
-"""Here gas has no room any longer on its compressed side, rad."""
+"""Angle at which the compressed side of the neck has no volume, rad."""
 
 net_torque = eqx.filter_jit(statics.net_torque)
 joint_torque = eqx.filter_jit(mechanics.joint_torque)
@@ -32,12 +32,12 @@ def arm_with(parameters=NECK, **changes):
 
 
 def inflated(**changes):
-    """An arm whose links have gas of four pressures."""
+    """Return an arm whose links have four different pressures."""
     return arm_with({**NECK, "links.pressure": GAS, **changes})
 
 
 def test_a_neck_has_the_gas_of_the_softer_link():
-    """Joint 1 lies before link 1, and joint 3 between 2 and 3, of which 2 has less gas."""
+    """Joint 1 is in front of link 1, joint 3 between links 2 and 3, and link 2 has less gas."""
     arm, still = inflated(), jnp.zeros(LINKS)
     angles = jnp.asarray([0.15, -0.3, -0.4, 0.2])
     found = joint_torque(arm, angles, still, still, pressures=PRESSURES)
@@ -66,7 +66,7 @@ def test_gas_of_an_arm_is_declared_once():
 
 
 def operations(arm):
-    """Those of the equation of motion, with the torque of the joints."""
+    """Return the operations of the equation of motion with the joint torques."""
     still = jnp.zeros(LINKS)
 
     def moved(angles):
@@ -77,7 +77,7 @@ def operations(arm):
 
 
 def test_without_a_neck_nothing_of_it_is_computed():
-    """Its cube root is not there, and the law that acts is the arm's own."""
+    """The cube root is absent, and the law of the joints is the arm's own."""
     assert "cbrt" not in operations(arm_with({}))
     assert "cbrt" in operations(arm_with())
     arm = arm_with({"links.pressure": GAS})
@@ -90,7 +90,7 @@ STEPS = (1e-7, 1e-7, 1e-2, 1e-3, 1e-8)
 
 @eqx.filter_jit
 def torque_of(x, arm):
-    """Of joint 3, by what `PATHS` names, its angle and both of its pressures."""
+    """Return the torque of joint 3 for values of `PATHS`, its angle and its two pressures."""
     own = replace(arm, dict(zip(PATHS, x[: len(PATHS)], strict=True)))
     still = jnp.zeros(LINKS)
     angles = still.at[2].set(x[-3])
@@ -106,7 +106,7 @@ backwards = eqx.filter_jit(jax.jacrev(torque_of))
     "angle", [0.0, 0.6 * FIRST, 4 * FIRST, 0.2, -0.2, 0.99 * SHUT, 1.4 * SHUT, -1.1, 1.3]
 )
 def test_slopes_of_the_torque_by_everything(angle):
-    """Forwards and backwards, where a neck is tight, wrinkled and folded, and beyond 60 deg."""
+    """Both modes, for tight, wrinkled and folded necks, and beyond 60 deg."""
     arm = arm_with({**NECK, "links.pressure": 950.0})
     known = declared(arm)
     at = jnp.asarray([*(known[path].value(arm) for path in PATHS), angle, 2.8e4, 2.2e4])
@@ -122,7 +122,7 @@ def test_slopes_of_the_torque_by_everything(angle):
 
 
 def test_a_neck_is_never_stiffer_than_the_bound():
-    """Through both limits, at any pressures; the straight neck, which is tight, is near it."""
+    """Compare for any pressures, through both limits; the tight straight neck is near the bound."""
     arm = inflated()
     angles = np.concatenate([np.linspace(-1, 1, 41), np.linspace(-5, 5, 41) * FIRST])
     held = np.asarray([[a, b] for a in (0, 3e4, 3e5) for b in (0, 3e4, 3e5)])
@@ -144,7 +144,7 @@ def test_a_neck_is_never_stiffer_than_the_bound():
 
 
 def test_a_neck_that_muscles_crush_is_a_hinge_with_its_gas():
-    """Film carries nothing from p pi r^2 = F on: the torque is continuous, and so it goes on."""
+    """From p pi r^2 = F on, the film carries no load, and the torque is continuous."""
     arm = arm_with({**NECK, "links.pressure": 700.0})
     pair = arm.pneumatics.in_links(arm.links).pair
     angle = jnp.asarray(0.25)
@@ -169,7 +169,7 @@ def test_a_neck_that_muscles_crush_is_a_hinge_with_its_gas():
     assert np.max(np.abs(np.diff(torque))) < 2e-3
     slopes = jax.jit(jax.vmap(jax.grad(lambda size: at(size)[1])))(jnp.asarray(sizes))
     assert np.all(np.isfinite(slopes))
-    # Within its folding angle the crushed neck is the hinge, and has no torque of its own.
+    # Within its folding angle, the crushed neck acts as the hinge, without a torque of its own.
     hinge = net_torque(
         JointPair(pair.joint, pair.muscle), one * sizes[-1], jnp.zeros(()), angle, angle >= 0
     )

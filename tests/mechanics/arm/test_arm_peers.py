@@ -1,4 +1,4 @@
-"""Accelerations against MuJoCo, and against a second formulation in numpy."""
+"""Accelerations against MuJoCo, and against a second formulation in NumPy."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def compare(reference, arm, states):
 
 @pytest.mark.parametrize("reference", [MujocoChain, ScipyChain])
 def test_a_hundred_states_of_a_general_arm(reference):
-    """Random axes, per-link numbers, a turned base, gravity, wind, springs, dampers and drag."""
+    """Random axes, per-link values, a rotated base, gravity, wind, springs, dampers and drag."""
     arm = general_arm(20)
     compare(reference(arm), arm, random_states(20, 100))
 
@@ -45,8 +45,8 @@ def without_what_mujoco_lacks(arm):
 @pytest.mark.slow
 @pytest.mark.parametrize("links", [2, 8])
 def test_everything_that_mujoco_can_do_at_once(links):
-    """Armature, helium, trim weights and point masses off the axis as MuJoCo's own bodies; lift,
-    imbalance, a constant wind, friction, cross-flow and axial drag as forces in numpy."""
+    """Armature, helium, trim weights and off-axis point masses are MuJoCo's own bodies. Lift,
+    imbalance, a constant wind, friction, cross-flow and axial drag are forces in NumPy."""
     arm = without_what_mujoco_lacks(full_arm(links))
     compare(MujocoChain(arm), arm, random_states(links, 20))
 

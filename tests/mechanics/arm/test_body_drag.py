@@ -1,7 +1,7 @@
-"""A ball on a string: a point mass with a drag of its own.
+"""A ball on a string: a point mass with its own drag.
 
-With every other option on, its torque is derived again in `test_lagrange.py`, its power is that
-of the balance in `test_conservation.py`, and its derivatives are in `test_option_derivatives.py`.
+With all other options enabled, `test_lagrange.py` derives its torque again, `test_conservation.py`
+checks its power, and `test_option_derivatives.py` checks its derivatives.
 """
 
 import equinox as eqx
@@ -23,7 +23,7 @@ drag_power = eqx.filter_jit(mechanics.drag_power)
 inverse_dynamics = eqx.filter_jit(mechanics.inverse_dynamics)
 
 GRAVITY, LENGTH, MASS, AREA, DENSITY = 9.80665, 1.3, 0.05, 0.004, 1.204
-THREAD = 1e-6  # kg: it has nearly no mass, and no drag
+THREAD = 1e-6  # kg; the string has almost no mass, and no drag
 TIMES = np.linspace(0.0, 6.0, 61)
 SECTION = {
     "preset": "pendulum",
@@ -39,10 +39,10 @@ def ball():
 
 
 def swing(wind, start):
-    """Angle over time of a ball on a massless string in a plane, from Newton's law.
+    """Return the angle over time of a ball on a massless string in a plane, by Newton's law.
 
-    The ball is at L (sin a, -cos a), moves with L a' t, t = (cos a, sin a), and its drag is
-    -1/2 rho C_D A |v - u| (v - u); along t: M L a'' = -M g sin a + drag . t.
+    The ball is at L (sin a, -cos a) and moves with L a' t, t = (cos a, sin a). Its drag is
+    -1/2 rho C_D A |v - u| (v - u). Along t: M L a'' = -M g sin a + drag . t.
     """
     along, up = wind
 
@@ -59,7 +59,7 @@ def swing(wind, start):
 
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (2.0, 0.5)], ids=["still", "wind"])
 def test_a_ball_swings_as_newton_says(ball, wind):
-    """The preset hangs along -z, and its angle grows towards x."""
+    """The preset hangs along -z, and its angle increases towards x."""
     found = simulate(
         ball,
         constant([0.0]),
@@ -72,19 +72,19 @@ def test_a_ball_swings_as_newton_says(ball, wind):
     expected = swing(wind, 1.2)
     assert_allclose(found.angles[:, 0], expected, rtol=0, atol=2e-5)
     assert_allclose(found.tip[:, 0], LENGTH * np.sin(expected), rtol=0, atol=3e-5)
-    # And the air matters: without it the ball would swing on as high as it began.
+    # The air must have an effect: without it, the amplitude would not decrease.
     assert np.abs(expected[-20:]).max() < 0.9
 
 
 def test_its_power_is_that_of_its_drag(ball):
-    """-1/2 rho C_D A v^3 in still air, and of the force that a wind exerts on what moves."""
+    """-1/2 rho C_D A v^3 in still air, and in a wind the power of its force on the moving ball."""
     speed = 0.7 * LENGTH
     power = drag_power(ball, jnp.array([0.4]), jnp.array([0.7]))
     assert_allclose(power, -0.5 * DENSITY * AREA * speed**3, rtol=1e-12)
 
 
 def test_several_bodies_on_a_link_and_one_beside_its_axis():
-    """The torque that holds an arm still in a wind is that of the levers."""
+    """The torque that holds the arm at rest in a wind follows from the levers."""
     bodies = PointMasses(
         links=(2, 1, 2),
         mass=jnp.full(3, 0.01),
@@ -96,13 +96,13 @@ def test_several_bodies_on_a_link_and_one_beside_its_axis():
     arm = pendulum(2, gravity=0.0, base_rotation=(0.0, 0.0, 0.0), point_masses=bodies)
     wind = jnp.array([0.0, 0.0, 3.0])
     still = jnp.zeros(2)
-    # The links lie along x, and a pitch joint turns z down: an upward force asks for torque.
+    # The links lie along x, and a pitch joint turns z down, so an upward force requires a torque.
     force = 0.5 * DENSITY * np.array([0.002, 0.003, 0.004]) * 3.0**2
     about_second = force[0] * 0.5 + force[2] * 0.8
     about_first = force[0] * 1.5 + force[1] * 1.0 + force[2] * 1.8
     found = np.abs(inverse_dynamics(arm, still, still, still, wind))
     assert_allclose(found, [about_first, about_second], rtol=1e-12)
-    # A wind along the links acts on the body above the axis, alone.
+    # A wind along the links exerts a torque only through the body above the axis.
     found = np.abs(inverse_dynamics(arm, still, still, still, wind[::-1]))
     assert_allclose(found, [force[1] * 0.3, 0.0], rtol=1e-12, atol=1e-15)
 
@@ -122,12 +122,12 @@ def test_its_derivatives_are_those_of_differences(ball):
         at = np.array([AREA, 1.1, 0.4, rate])
         found, reverse = (np.array(mode(*jnp.asarray(at))) for mode in (forwards, backwards))
         assert_allclose(reverse, found, rtol=1e-10, atol=1e-14)
-        # |v| v of a small difference about rest is the smaller, the smaller that is.
+        # At rest, |v| v of a difference is of second order, so the difference must be small.
         steps = np.diag([1e-5, 1e-5, 1e-5, 1e-5 if rate else 1e-7])
         forth, back = (values(*(at[:, None] + sign * steps)) for sign in (1, -1))
         expected = np.asarray(forth - back) / (2 * np.diag(steps))
         assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
-    # At rest neither the area nor the rate has an effect of first order.
+    # At rest, neither the area nor the rate has a first-order effect.
     assert found[0] == found[3] == 0
 
 
@@ -151,7 +151,7 @@ def test_a_fit_finds_it(ball):
     assert estimate.unit == "m^2"
     assert estimate.standard_error < 0.03 * AREA
     assert abs(estimate.value - AREA) < 3.5 * estimate.standard_error
-    assert any("point_masses.drag_area: holds for air.density" in c for c in result.conditions)
+    assert any("point_masses.drag_area: valid for air.density" in c for c in result.conditions)
 
 
 def test_a_file_says_it_or_leaves_it_out(ball):

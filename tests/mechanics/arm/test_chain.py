@@ -1,4 +1,4 @@
-"""Building arms: the paper's numbers, what `chain` fills in, and what it refuses."""
+"""Building arms: the paper's values, the defaults of `chain`, and invalid arguments."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -1,4 +1,4 @@
-"""The peers of `make bench`: equations that CasADi derived, and MuJoCo with its drag in C."""
+"""The peers of `make bench`: equations derived by CasADi, and MuJoCo with its drag in C."""
 
 import jax
 import numpy as np
@@ -48,7 +48,7 @@ def numbers(links, count=10):
 
 @pytest.fixture(scope="module")
 def short():
-    """An arm without symmetry, with both stiffnesses, and a command for both joints."""
+    """Return an arm without symmetry, with both stiffnesses, and a command for both joints."""
     arm = general_arm(2)
     assert set(PlainArm(arm).yaws) == {False, True}
     return arm, joint_ramps(2, {1: 0.5, 2: -0.3}, start=0.25, duration=0.5)
@@ -60,7 +60,7 @@ def generated(short):
 
 
 def ends_by_callback(arm, command):
-    """Ends of the links by MuJoCo with its forces in Python."""
+    """Return the ends of the links by MuJoCo with its forces in Python."""
     angles = MujocoChain(arm, command).trajectory(TIMES, STEP)[:, 0]
     chain = ScipyChain(arm)
     along = np.array([chain.orientations(row)[:, :, 0] for row in angles])
@@ -68,7 +68,7 @@ def ends_by_callback(arm, command):
 
 
 def test_accelerations_are_those_of_giajax(short, generated):
-    """Random axes, a turned base, gravity, springs, dampers and drag."""
+    """Random axes, a rotated base, gravity, springs, dampers and drag."""
     arm, _ = short
     ours = jax.jit(acceleration)
     peers = [casadi_chain.CasadiChain(arm), generated, mujoco(arm)]
@@ -89,7 +89,7 @@ def test_casadi_derives_the_papers_arm():
 
 
 def test_the_same_steps_lead_to_the_same_place(short, generated):
-    """Classical Runge-Kutta by MuJoCo, in Python and in C, and over CasADi's code."""
+    """Classical Runge-Kutta steps by MuJoCo, in Python and in C, and with CasADi's code."""
     expected = ends_by_callback(*short)
     assert np.abs(np.diff(expected[:, -1], axis=0)).max() > 0.1
     assert_allclose(mujoco(*short).ends(TIMES, STEP), expected, rtol=0, atol=1e-12)
@@ -99,7 +99,7 @@ def test_the_same_steps_lead_to_the_same_place(short, generated):
 
 
 def test_derivatives_of_generated_code_are_those_of_its_steps(generated):
-    """At rest, too: the arm begins there."""
+    """This includes the state of rest, in which the arm starts."""
     values = np.array(list(generated.parameters.values()))
     ends, jacobian = generated.ends_and_jacobian(TIMES, STEP)
     assert_allclose(ends, generated.ends(TIMES, STEP), rtol=0, atol=1e-13)

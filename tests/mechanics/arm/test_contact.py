@@ -21,7 +21,7 @@ touch, touched = jax.jit(mechanics.touch), jax.jit(mechanics.touched)
 contact_energy = jax.jit(mechanics.contact_energy)
 contact_stiffness = jax.jit(mechanics.contact_stiffness)
 
-# So few that all pairs of links and boxes are looked at together: one program for one way.
+# With so few links, all pairs of links and boxes are evaluated together, by one program.
 LINKS = 2
 SCENE = (
     Box(centre=[1.4, 0.1, -0.5], size=[0.4, 0.6, 0.9], rotation=[0.2, 0.1, 0.5]),
@@ -37,14 +37,14 @@ def arm_among(obstacles=SCENE, links=LINKS, pressure=1000.0, **about):
 
 @eqx.filter_jit
 def depths(arm, angles):
-    """How deep links are pressed, m, in rows of angles."""
+    """Return the indentation of the links, m, for rows of angles."""
     pairs = Pairs(*(jnp.asarray(index.ravel()) for index in np.indices((arm.count, 10))))
     return jax.vmap(lambda q: flattening(arm, arm.contact, pose(arm, q), pairs))(angles)
 
 
 @functools.cache
 def pressed_states(count, links=LINKS):
-    """Angles in which something touches, not deeper than links are thick."""
+    """Return angles in which links touch obstacles, but not deeper than a link is thick."""
     random = np.random.default_rng(3)
     angles = jnp.asarray(random.normal(size=(2000, links)) * 0.25)
     depth = jnp.max(depths(arm_among(links=links), angles), axis=1)
@@ -55,11 +55,11 @@ def pressed_states(count, links=LINKS):
     return found[:count], rates, strain
 
 
-# One program of each for the tests of states, with its derivative along a direction. Rows go one
-# after the other: a batch would have to be traced, too.
+# One program for each function and its derivative along a direction, shared by the tests. The rows
+# are processed in a loop, because a batch would have to be traced, too.
 @jax.jit
 def touch_along(arm, state, direction):
-    """What touches in rows of angles, rates and stretch, and how its torque changes."""
+    """Return the contact for rows of angles, rates and stretch, and the change of its torque."""
 
     def one(state, direction):
         met, change = jax.jvp(lambda *x: touch(arm, *x), state, direction)
@@ -70,7 +70,7 @@ def touch_along(arm, state, direction):
 
 @jax.jit
 def energy_along(arm, angles, direction):
-    """The energy in rows of angles, and how it changes."""
+    """Return the energy for rows of angles, and its change."""
 
     def one(row):
         q, v = row
@@ -81,7 +81,7 @@ def energy_along(arm, angles, direction):
 
 @pytest.mark.parametrize("factor", [np.pi, 4 * np.pi / 3])
 def test_a_link_between_two_plates_is_the_closed_form(factor):
-    """(pi / 2) p L delta for plates that come nearer by delta: pi p L w for each wall."""
+    """(pi / 2) p L delta for plates whose distance decreases by delta; pi p L w for each wall."""
     w, pressure = 0.02, 800.0
     walls = (
         Plane(centre=[0.0, 0.0, -0.15 + w], name="below"),
@@ -95,16 +95,16 @@ def test_a_link_between_two_plates_is_the_closed_form(factor):
     if factor == np.pi:
         assert_allclose(expected, np.pi / 2 * pressure * 0.99 * (2 * w), rtol=1e-15)
     assert_allclose(contact_energy(arm, jnp.zeros(1)), 2 * expected * w / 2, rtol=1e-12)
-    # Twice: above and below; the torque of both is none.
+    # The forces from above and below are equal, so the torque is zero.
     assert_allclose(touch(arm, jnp.zeros(1), jnp.zeros(1)).torque, 0, atol=1e-12)
 
 
 def test_a_flattened_tube_has_the_force_of_its_flat_width():
-    """The closed form from the geometry: an oval of the same circumference, and p times its flat.
+    """The force of an oval of the same circumference is p times its flat width.
 
-    For one wall the section is that of a membrane under its own even weight, to first order:
-    radial displacements u with u + u'' = (F / p) (delta - cos(theta) / pi), of which the terms
-    cos(n theta), n >= 2, are 1 / (pi (1 - n^2)).
+    A single wall deforms the section to first order like a membrane under its own uniform weight.
+    The radial displacements u satisfy u + u'' = (F / p) (delta - cos(theta) / pi). Its terms cos(n
+    theta), n >= 2, are 1 / (pi (1 - n^2)).
     """
     radius, pressure, delta = 0.15, 1000.0, 0.01
     flat = (2 * np.pi * radius - np.pi * (2 * radius - delta)) / 2
@@ -130,7 +130,7 @@ def test_force_is_the_derivative_of_the_energy_and_has_its_own():
     ]
     scale = np.abs(resting).max(axis=1, keepdims=True)
     assert_allclose(-np.stack(slopes, axis=1) / scale, resting / scale, atol=1e-5)
-    # One direction over angles, rates and stretch, in both modes.
+    # One direction in angles, rates and stretch, in both modes.
     random = np.random.default_rng(5)
     d = [jnp.asarray(random.normal(size=x.shape)) for x in here]
     d[2] = d[2] * 1e-3
@@ -159,7 +159,7 @@ def test_force_is_the_derivative_of_the_energy_and_has_its_own():
 
 @pytest.mark.slow
 def test_derivatives_by_pressure_and_by_where_the_wall_stands():
-    """And by angles; of so many links that of their pairs only the near ones are looked at."""
+    """Also with respect to the angles, for so many links that only near pairs are evaluated."""
     links = 3
     arm = arm_among(pressure=1000.0, links=links)
     angles, way, _ = pressed_states(8, links)
@@ -197,13 +197,13 @@ def test_derivatives_by_pressure_and_by_where_the_wall_stands():
 
 
 def test_contact_never_creates_energy():
-    """Pointwise: what it delivers, and what it stores, is never positive together."""
+    """In every state, the sum of delivered power and rate of stored energy is not positive."""
     arm = arm_among(damping=2.0, friction=0.4)
     angles, rates, strain = pressed_states(40)
 
     state = (angles, rates * 3, strain)
     met, _ = touch_along(arm, state, state)
-    # Of the torques, and of what is stored: flattening, and skin that is held.
+    # Power of the torques, and rate of the energy stored by flattening and by sticking skin.
     power = np.sum(met.torque * state[1], axis=1)
     stored = energy_along(arm, angles, state[1])[1]
     held = jax.jit(jax.vmap(arm.contact.hold))(strain, met.normal)
@@ -220,7 +220,7 @@ def test_the_stiffness_is_what_presses_and_never_negative():
     stiff = contact_stiffness(arm, angles, still, slack)
     by = jax.jit(jax.jacfwd(lambda q, v: touch(arm, q, v, slack), (0, 1)))(angles, still)
     by_angles, by_rates = (-each for each in by.torque)
-    # But for the turning of the normals, which is the force over the length.
+    # The rotation of the normals is neglected, which is the force divided by the length.
     assert_allclose(stiff.angles, by_angles, atol=0.02 * np.abs(by_angles).max())
     assert_allclose(stiff.rates, by_rates, atol=1e-10)
     assert np.linalg.eigvalsh(stiff.angles).min() > -1e-9
@@ -232,18 +232,18 @@ def test_the_stiffness_is_what_presses_and_never_negative():
 
 
 def test_the_period_of_a_link_on_its_cushion():
-    """3.1 kN/m and 257 rad/s for a link of 47 g at 1 kPa that a wall presses evenly."""
+    """3.1 kN/m and 257 rad/s for a link of 47 g at 1 kPa, on which a wall presses uniformly."""
     arm = arm_among((Plane(centre=[0.0, 0.0, -0.14]),), links=1)
     rate = np.sqrt(np.pi * 1000 * 0.99 / float(arm.links.mass[0]))
     assert_allclose(rate, 257, rtol=2e-3)
     stiff = contact_stiffness(arm, jnp.zeros(1), jnp.zeros(1)).angles
-    # About the joint: pi p L^3 / 3.
+    # About the joint, the stiffness is pi p L^3 / 3.
     assert_allclose(stiff, [[np.pi * 1000 * 0.99**3 / 3]], rtol=1e-10)
     assert mass_matrix(arm, jnp.zeros(1)) > 0
 
 
 def test_boxes_side_by_side_press_as_one_wall():
-    """A link that slides along a wall of eight boxes does not feel where they meet."""
+    """A link that slides along a wall of eight boxes is not affected by the seams."""
     wall = WallWithOpening(
         centre=[0.5, 0.0, -1.2],
         opening=[0.3, 0.3],
@@ -256,22 +256,22 @@ def test_boxes_side_by_side_press_as_one_wall():
         moved = dataclasses.replace(obstacle, centre=jnp.asarray([1.0, 0.8, -0.24]))
         return takeichi_20m(2, joint_axes=["yaw", "pitch"], contact=Contact(obstacles=(moved,)))
 
-    # Across the seams at x = 0.85 and 1.15 m, the last also across that at y = 0.65 m; the opening
-    # between them is out of reach.
+    # The link crosses the seams at x = 0.85 and 1.15 m, in the last case also that at y = 0.65 m.
+    # The opening between them is out of reach.
     for angle in (-0.15, 0.0, 0.1, 0.3, 0.36):
         angles = jnp.asarray([angle, 0.012])
         whole, parts = (touch(arm(each), angles, jnp.zeros(2)) for each in (solid, wall))
         assert np.min(whole.normal) > 1
         assert_allclose(parts.normal, whole.normal, rtol=1e-9)
         assert_allclose(parts.torque, whole.torque, rtol=1e-9, atol=1e-9)
-    # Over the opening nothing presses.
+    # Over the opening, there is no contact.
     angles = jnp.asarray([0.67, 0.0])
     whole, parts = (touch(arm(each), angles, jnp.zeros(2)) for each in (solid, wall))
     assert np.sum(parts.normal) < 0.95 * np.sum(whole.normal)
 
 
 def test_flattening_is_that_of_the_deepest_place_of_the_axis():
-    """Also once the axis is inside: against a fine search along links."""
+    """This includes an axis inside a box; compared with a fine search along the links."""
     arm = arm_among(links=3)
     angles = jnp.asarray(np.random.default_rng(9).normal(size=(120, 3)) * 0.5)
     boxes, radius = solids(SCENE), float(arm.links.diameter[0]) / 2
@@ -285,7 +285,7 @@ def test_flattening_is_that_of_the_deepest_place_of_the_axis():
         shared = jnp.asarray(boxes.shared, float)[:, :, None, :, None]
         half = boxes.half[:, None, :, None]
         seen = nearest(local, half, shared)
-        # What is beyond a shared face is the other box's.
+        # The part beyond a shared face belongs to the other box.
         other = (shared[1] > 0) & (local > half) | (shared[0] > 0) & (local < -half)
         depth = jnp.where(jnp.any(other, axis=0), 0, radius - seen.distance)
         return jnp.maximum(jnp.max(depth, axis=-1), 0).ravel()
@@ -297,7 +297,7 @@ def test_flattening_is_that_of_the_deepest_place_of_the_axis():
 
 
 def test_a_plane_ends_nowhere_that_an_arm_reaches():
-    """Wherever on it its point is, also far away."""
+    """The result does not depend on the position of its reference point, even if it is far away."""
     for centre in ([0.0, 0.0, -0.14], [5000.0, -3000.0, -0.14]):
         arm = arm_among((Plane(centre=centre),))
         flat = touched(arm, jnp.zeros(LINKS), jnp.zeros(LINKS))[0]
@@ -312,7 +312,7 @@ def test_far_away_nothing_is_pressed():
 
 
 def test_many_links_at_once_are_all_seen():
-    """More pairs than are looked at together where few are near."""
+    """There are more pairs than the number that is evaluated together if few are near."""
     ground = (Plane(centre=[0.0, 0.0, -0.14]), Box(centre=[6.0, 0.29, 0.0], size=[14.0, 0.3, 0.3]))
     arm = arm_among(ground, links=15)
     flat, force = touched(arm, jnp.zeros(15), jnp.zeros(15))
@@ -325,7 +325,7 @@ def test_many_links_at_once_are_all_seen():
 
 
 def test_clearance_is_the_distance_of_the_skin_and_has_its_slope():
-    """Of a plane by their height, of a box by the distance of its nearest corner."""
+    """For a plane, the clearance is the height; for a box, the distance of its nearest corner."""
     height, radius = 0.8, 0.15
     things = (Plane([0.0, 0.0, -height]), Box([4.0, 1.0, 0.0], [2.0, 1.0, 1.0]))
     around = dataclasses.replace(takeichi_20m(2), contact=Contact(things))
@@ -333,18 +333,18 @@ def test_clearance_is_the_distance_of_the_skin_and_has_its_slope():
     length = float(jnp.sum(around.links.length))
     np.testing.assert_allclose(gaps[:, 0], height - radius, atol=1e-12)
     assert gaps[1, 1] == pytest.approx(math.hypot(3.0 - length, 0.5) - radius)
-    # A positive angle bends it up: away from the plane, by the height of the end that is lower.
+    # A positive angle bends the arm up, away from the plane, by the height of its lower end.
     bent = jnp.asarray([-0.1, 0.0])
     low = height - length / 2 * math.sin(0.1) - radius
     assert float(mechanics.clearance(around, bent)[0, 0]) == pytest.approx(low)
     slope = jax.jacfwd(lambda each: mechanics.clearance(around, each)[0, 0])(bent)
     assert slope[0] == pytest.approx(length / 2 * math.cos(0.1))
-    with pytest.raises(InputError, match="has no obstacles to keep clear of"):
+    with pytest.raises(InputError, match="has no obstacles, so it has no clearance"):
         mechanics.clearance(takeichi_20m(2), jnp.zeros(2))
 
 
 def test_clearance_of_a_wall_is_that_of_points_along_the_links():
-    """Links that pass the opening at all angles, against points each 2 mm."""
+    """Links pass the opening at all angles; compared with points at intervals of 2 mm."""
     wall = WallWithOpening([2.0, 0.0, 0.3], [1.0, 1.2], [0.5, 0.6, 0.7, 0.8], 0.2, [0.1, 0.3, 0.2])
     around = dataclasses.replace(takeichi_20m(6), contact=Contact((wall,)))
     angles = np.random.default_rng(1).uniform(-0.8, 0.8, (40, 6))
@@ -367,7 +367,7 @@ def test_clearance_of_a_wall_is_that_of_points_along_the_links():
 
 @pytest.mark.parametrize("beside", [0.0, 0.2])
 def test_clearance_within_a_wall_is_to_its_faces_and_not_to_those_of_its_boxes(beside):
-    """Half of the thickness and the radius, of links that lie in it near where two boxes meet."""
+    """Half of the thickness plus the radius, for links in the wall near the seam of two boxes."""
     centre = [1.0, 0.0, -0.5 - beside]
     wall = WallWithOpening(centre, [1.0, 1.0], [1.5] * 4, 1.0, [0.0, 0.0, np.pi / 2])
     around = dataclasses.replace(takeichi_20m(2), contact=Contact((wall,)))

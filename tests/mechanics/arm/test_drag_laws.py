@@ -1,4 +1,4 @@
-"""Laws of drag: those of giajax, one of one's own, and wrong ones."""
+"""Drag laws: those of giajax, a user-defined one, and invalid ones."""
 
 import dataclasses
 
@@ -42,7 +42,7 @@ def test_the_laws_of_giajax_resist_and_have_derivatives_at_rest(law, curve):
 
 @giajax.register
 class Square(AbstractDragLaw):
-    """As strip drag, with a coefficient of its own."""
+    """Strip drag with its own coefficient."""
 
     coefficient: jax.Array = parameter(1.2, unit="", lower=0, frozen=False, doc="C_D")
     more: jax.Array | None = parameter(0.5, unit="", lower=0, optional=True, doc="of a limp link")
@@ -57,7 +57,7 @@ class Square(AbstractDragLaw):
 
 @giajax.register
 class Choosing(Square):
-    """With a choice of its own."""
+    """A law with its own choice between variants."""
 
     power: int = eqx.field(static=True, default=2)
 
@@ -78,7 +78,7 @@ def test_its_parameters_are_declared_as_all_others():
     arm = takeichi_20m(2, drag="Square", parameters={"air.law.more": 0.1})
     assert {"air.law.coefficient", "air.law.more"} <= set(declared(arm))
     assert "air.law.coefficient" in default_free(arm)
-    # What the law does not use is not fitted.
+    # Parameters that the law does not use are not fitted.
     assert "air.drag_coefficient" not in default_free(arm)
 
 
@@ -87,11 +87,11 @@ def test_an_arm_with_a_law_goes_through_its_definition():
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.air, model.arm.air)
     other = giajax.ArmModel(takeichi_20m(2, drag=Choosing(power=1)))
-    with pytest.raises(InputError, match="Choosing has power = 1, which no file can state"):
+    with pytest.raises(InputError, match="Choosing has power = 1, which cannot be written"):
         other.definition()
 
     class Local(Square):
-        """Nobody has registered it."""
+        """A law that is not registered."""
 
     with pytest.raises(InputError, match="the drag law Local is not registered"):
         giajax.ArmModel(takeichi_20m(2, drag=Local())).definition()
@@ -183,7 +183,7 @@ def test_a_law_without_its_method_is_refused_by_its_name():
 
 
 class Lifting(Square):
-    """Drag, and a lift across it, which takes and gives no power."""
+    """Drag and a perpendicular lift force, which has no power."""
 
     def force(self, stream):
         lift = jnp.stack([0 * stream.across[0], -stream.across[2], stream.across[1]])
@@ -191,7 +191,7 @@ class Lifting(Square):
 
 
 class Linear(Square):
-    """One number for each link, as creeping flow has it."""
+    """Linear drag with one coefficient per link, as in creeping flow."""
 
     size: jax.Array = parameter(0.1, unit="N s/m^2", lower=0, each=True, per="link", doc="size")
 
@@ -218,5 +218,5 @@ def test_what_has_no_part_in_a_law_is_refused():
     for name in ("air.drag_coefficient", "air.axial_coefficient"):
         with pytest.raises(InputError, match="do not apply to a user-defined drag law"):
             takeichi_20m(2, drag="Square", parameters={name: 1.0})
-    with pytest.raises(InputError, match="apply only to the drag laws of giajax: remove them"):
+    with pytest.raises(InputError, match="apply only to the built-in drag laws: remove them"):
         takeichi_20m(2, drag="Square", drag_curve="cylinder")

@@ -1,4 +1,4 @@
-"""Identities of mechanics, which hold whatever the arm; references beside, not from, the code."""
+"""Mechanical identities that hold for any arm, with references independent of the code."""
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from giajax.schema.parameters import get, replace, switched_on
 from peers.arms import general_arm, random_states
 from peers.scipy_chain import ScipyChain
 
-# Compiled as a whole: one by one, the operations of a function compile for a second.
+# Compiled as a whole, because compiling the operations of a function one by one takes a second.
 acceleration = eqx.filter_jit(giajax.mechanics.arm.acceleration)
 damping_power = eqx.filter_jit(giajax.mechanics.arm.damping_power)
 drag_force = eqx.filter_jit(giajax.mechanics.arm.drag_force)
@@ -41,12 +41,12 @@ def arm():
 
 @pytest.fixture(scope="module")
 def ideal(arm):
-    """The same arm without air and gravity: inertia alone."""
+    """Return the same arm without air and gravity, with inertia alone."""
     return replace(arm, {"air.drag_coefficient": 0.0, "gravity": 0.0})
 
 
 def energy_of_links(arm, angles, rates):
-    """Kinetic energy link by link, as a textbook writes it."""
+    """Return the kinetic energy link by link, as in a textbook."""
     orientations = ScipyChain(arm).orientations(np.asarray(angles))
     links = jax.tree.map(np.asarray, arm.links)
     omega, joint_velocity, energy = np.zeros(3), np.zeros(3), 0.0
@@ -70,7 +70,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(arm):
 def test_the_mass_matrix_is_the_hessian_of_the_links_energy(arm):
     angles = ANGLES[0]
     unit = np.eye(LINKS)
-    # A quadratic form from its values: T(a + b) - T(a) - T(b) = a' M b.
+    # Polarisation of the quadratic form: T(a + b) - T(a) - T(b) = a' M b.
     alone = [energy_of_links(arm, angles, e) for e in unit]
     expected = [
         [
@@ -84,7 +84,7 @@ def test_the_mass_matrix_is_the_hessian_of_the_links_energy(arm):
 
 
 def test_one_link_turns_with_its_inertia_about_the_joint():
-    # Steiner: I + m c^2 about a transverse axis, I_axial about the link's own.
+    # Parallel axes: I + m c^2 about a transverse axis, I_axial about the link's own axis.
     links = {"mass": 0.2, "length": 1.5, "centre_of_mass": 0.4}
     inertias = {"inertia_transverse": 0.03, "inertia_axial": 0.01}
     for axes, expected in ([["pitch"]], 0.03 + 0.2 * 0.16), ([[[1, 0, 0]]], 0.01):
@@ -93,7 +93,7 @@ def test_one_link_turns_with_its_inertia_about_the_joint():
 
 
 def test_the_rate_of_the_mass_matrix_is_the_coriolis_matrix_and_its_transpose(ideal):
-    """d/dt M - (C + C') = 0 with the Christoffel C = 1/2 dh/dv, h = C v being quadratic in v."""
+    """d/dt M - (C + C') = 0 with Christoffel's C = 1/2 dh/dv; h = C v is quadratic in v."""
 
     def coriolis_force(angles, rates):
         return inverse_dynamics(ideal, angles, rates, jnp.zeros(LINKS))
@@ -153,7 +153,8 @@ def test_a_straight_arm_hangs_its_weight_on_its_levers():
     arm = takeichi_20m(4, mass=[0.1, 0.2, 0.3, 0.4], length=2.0, centre_of_mass=0.5, gravity=9.81)
     still = jnp.zeros(4)
     held = inverse_dynamics(arm, still, still, still)
-    # Centres of mass at 0.5, 2.5, 4.5, 6.5 m; joints 1 and 3 pitch, 2 and 4 carry nothing.
+    # Centres of mass at 0.5, 2.5, 4.5, 6.5 m; joints 1 and 3 are pitch joints, 2 and 4 bear no
+    # weight.
     first = 9.81 * (0.1 * 0.5 + 0.2 * 2.5 + 0.3 * 4.5 + 0.4 * 6.5)
     third = 9.81 * (0.3 * 0.5 + 0.4 * 2.5)
     assert_allclose(held, [first, 0, third, 0], rtol=1e-14, atol=1e-14)
@@ -204,7 +205,7 @@ def test_the_wind_blows_a_resting_arm_along():
 
 
 def test_an_arm_carried_along_by_the_wind_feels_none_of_it():
-    # One link about a vertical axis: its centre moves with the wind at one instant.
+    # One link about a vertical axis, whose centre moves with the wind for an instant.
     arm = takeichi_20m(1, joint_axes=["yaw"])
     angles, rates = jnp.zeros(1), jnp.ones(1)
     with_it = link_velocities(arm, angles, rates)[0]
@@ -282,7 +283,7 @@ def test_mass_inertia_drag_and_joints_scale_together():
     ]
     heavier = replace(arm, {path: 1.7 * get(arm, path) for path in paths})
     assert_allclose(acceleration(heavier, *state), acceleration(arm, *state), rtol=1e-10)
-    # Leave one out, and it shows.
+    # If one of them is omitted, the result differs.
     lighter_drag = replace(heavier, {"air.drag_coefficient": 1.2})
     assert not np.allclose(acceleration(lighter_drag, *state), acceleration(arm, *state), rtol=1e-3)
 
@@ -305,7 +306,7 @@ def test_a_change_of_numbers_compiles_nothing_again():
 
 
 def test_the_bound_on_damping_follows_from_the_law():
-    """By hand: friction is steepest at rest, 0.3 / 0.1 N m s/rad, beside the damping."""
+    """By hand: friction has its largest slope at rest, 0.3 / 0.1 N m s/rad, plus the damping."""
     values = {"joints.damping": [1.0, 2.0], "joints.friction": 0.3, "joints.friction_rate": 0.1}
     laws = replace(switched_on(takeichi_20m(2), list(values)), values).joint_laws
     still, small = jnp.zeros(2), jnp.full(2, 1e-7)

@@ -1,4 +1,4 @@
-"""Accelerations of arms so long that their joints are eliminated in several pieces."""
+"""Accelerations of long arms, whose joints are eliminated in several pieces."""
 
 import functools
 
@@ -24,7 +24,7 @@ from giajax.mechanics.arm import (
 )
 from peers.arms import driven_arm, full_arm, general_arm, random_states
 
-# One piece, two, three and four, and each kind of armature in few pieces and in several.
+# One, two, three and four pieces, and each kind of armature with few and with several pieces.
 CASES = [
     (2, None), (2, "one"), (2, "each"), (48, None), (49, "each"), (130, "one"), (160, None),
 ]  # fmt: skip
@@ -42,7 +42,7 @@ def states(links, seed=0):
 
 @eqx.filter_jit
 def solved(arm, angles, more, torques):
-    """The mass matrix, and solutions of all of it and by the pieces that are left of that."""
+    """Return the mass matrix, and solutions by the whole matrix and by pieces of it."""
     pieces, solution = eliminate_and_solve(*factors(arm, angles), more, torques[0])
     return mass_matrix(arm, angles), pieces, (solution, solve_eliminated(pieces, torques[1]))
 
@@ -60,7 +60,7 @@ def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
     if more is not None:
         matrix = matrix + np.diag(np.broadcast_to(more, links))
     for torque, found in zip(torques, solutions, strict=True):
-        # As exactly as a solution that is stable backwards.
+        # As accurate as a backward-stable solution.
         rounding = np.finfo(float).eps * np.abs(matrix).sum(axis=1).max() * np.abs(found).max()
         assert_allclose(matrix @ found, torque, rtol=0, atol=4 * rounding)
 
@@ -85,7 +85,7 @@ BENT = np.random.default_rng(1).normal(size=100)
 
 
 def accelerations(values, arm, state):
-    """By what the mass matrix is made of, too, and by how the arm is bent."""
+    """Return the accelerations for values of the inertial parameters and of the bending."""
     changed = giajax.schema.parameters.replace(arm, dict(zip(PATHS, values[:3], strict=True)))
     angles = state["angles"] + values[3] * BENT
     return acceleration(changed, angles, state["rates"], state["command"])
@@ -93,7 +93,7 @@ def accelerations(values, arm, state):
 
 @functools.cache
 def long_arm():
-    """An arm, a state of it, and by how much its accelerations differ with the values."""
+    """Return an arm, a state, and finite differences of its accelerations by the values."""
     about = full_arm(100), {name: 0.3 * value for name, value in states(100).items()}
     steps = np.array([1e-3, 1e-3, 1e-4, 1e-6])
     rows = np.concatenate([AT + np.diag(steps), AT - np.diag(steps)])
@@ -114,7 +114,7 @@ def backwards(weights, arm, state):
 
 @pytest.mark.parametrize("mode", ["forwards", "backwards"])
 def test_derivatives_of_a_long_arm_are_its_differences(mode):
-    """Of three pieces."""
+    """The arm is eliminated in three pieces."""
     *about, differences = long_arm()
     if mode == "forwards":
         slopes = np.stack([forwards(change, *about) for change in np.eye(4)], axis=1)

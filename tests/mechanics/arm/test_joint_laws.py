@@ -1,4 +1,4 @@
-"""Laws of joints: those of giajax, one of one's own, and wrong ones."""
+"""Joint laws: those of giajax, a user-defined one, and invalid ones."""
 
 from typing import ClassVar
 
@@ -71,7 +71,7 @@ def test_a_law_of_giajax_makes_no_energy_and_has_its_derivatives(law):
 
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_both_modes_agree_with_differences_at_rest_and_in_motion(law):
-    """Away from corners, of torque, energy and rate at once, by every number."""
+    """Derivatives of torque, energy and rate together by every number, away from corners."""
     random = np.random.default_rng(0)
     parts = jnp.asarray(random.uniform(-1.5, 1.5, (3, 5)))
     states = jnp.asarray(random.uniform(-0.5, 0.5, (law.rows, 5)))
@@ -87,7 +87,7 @@ def test_both_modes_agree_with_differences_at_rest_and_in_motion(law):
     function = jax.jit(jax.vmap(each, (None, 0)))
     given = (values, at)
     along = jax.tree.map(lambda x: jnp.asarray(random.normal(size=x.shape)), given)
-    # Bouc-Wen has a corner where it rests: along a rate of 0 to both sides.
+    # Bouc-Wen has a corner at rest, so a rate of 0 needs differences on both sides.
     corner = isinstance(law, Memory)
     slope = jax.jvp(function, given, along)[1]
     out, back = jax.vjp(function, *given)
@@ -113,7 +113,7 @@ def test_a_hardening_joint_and_its_stops_are_those_of_hand():
     assert_allclose(found, -(2 * d**3 + np.asarray([1.0, 2.0, 3.0]) * d**5), atol=1e-15)
     ends = EndStops(lower=-0.1, upper=0.2, stiffness=10.0, damping=0.5, blend=0.02)
     ends = JointLaws((ends,))
-    # Beyond the blend the line begins at half of it.
+    # Beyond the blend, the line starts at half of its width.
     assert_allclose(ends.torque(ends.at(angles, still, still)), [-0.9, 0.9, -2.9], rtol=1e-12)
     closing = ends.torque(ends.at(angles, jnp.asarray([2.0, 2.0, -9.0]), still))
     assert_allclose(closing, [-1.8, 0.0, 0.0], atol=1e-12)
@@ -121,7 +121,7 @@ def test_a_hardening_joint_and_its_stops_are_those_of_hand():
 
 @giajax.register
 class Creep(AbstractJointLaw):
-    """A spring and a damper in series (Maxwell): its state is the torque, N m."""
+    """A spring and a damper in series (Maxwell); the state is the torque, N m."""
 
     modulus: jax.Array = parameter(2.0, unit="N m/rad", lower=0, frozen=False, doc="stiffness")
     time: jax.Array = parameter(0.3, unit="s", lower=1e-3, each=True, per="joint", doc="of decay")
@@ -139,7 +139,7 @@ class Creep(AbstractJointLaw):
 
 @giajax.register
 class Snapping(AbstractJointLaw):
-    """Two stable angles: it stores energy in between, and runs away from there."""
+    """A law with two stable angles; it stores energy between them, and the joint moves away."""
 
     depth: jax.Array = parameter(4.0, unit="N m", lower=0, doc="of the wells")
 
@@ -178,11 +178,11 @@ def test_an_arm_with_laws_goes_through_its_definition():
     again = giajax.ArmModel.from_definition(model.definition())
     assert eqx.tree_equal(again.arm.joints, arm.joints)
     assert "joint_laws" not in giajax.ArmModel(takeichi_20m(2)).definition()["arm"]
-    # A result says what file it was made with.
+    # The result names the file with which it was made.
     assert "test_joint_laws.py" in sources_of(model)
 
     class Local(Creep):
-        """Nobody has registered it."""
+        """A law that is not registered."""
 
     with pytest.raises(InputError, match="the joint law Local is not registered"):
         giajax.ArmModel(takeichi_20m(2, joint_laws=[Local()])).definition()
@@ -201,7 +201,7 @@ def test_the_states_of_ones_own_law_follow_those_of_memory_and_stops():
 
 @pytest.mark.parametrize("names", [["Creep", "end_stops", "hardening"], ["Snapping"]], ids=str)
 def test_a_motion_with_laws_loses_what_they_say(names):
-    """And is the same by an explicit and by the linearly implicit method."""
+    """Explicit and linearly implicit methods give the same motion."""
     ends = {"lower": -0.1, "stiffness": 10.0, "damping": 0.5}
     ends = {f"joints.laws.end_stops.{name}": value for name, value in ends.items()}
     values = {"joints.damping": 0.02} | (ends if "end_stops" in names else {})
@@ -241,7 +241,7 @@ def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
 
     paths = ["joints.laws.Creep.modulus", "joints.laws.Creep.time", "joints.laws.hardening.cubic"]
     at = jnp.asarray([2.0, 0.3, 1.0])
-    # One program for the values, too.
+    # One program for the values and the derivative.
     along = jax.jit(lambda values, change: jax.jvp(end, (values,), (change,)))
     directions = jnp.eye(3)
     slopes = jnp.stack([along(at, change)[1] for change in directions], axis=1)
@@ -255,7 +255,7 @@ def test_a_motion_by_parameters_of_a_law_has_their_derivatives():
 
 
 def test_steps_for_derivatives_are_those_of_the_stiffness_that_springs_come_to():
-    """At rest 0.5 rad from its command a joint is as one whose linear spring has that slope."""
+    """A joint that rests 0.5 rad from its command acts like a linear spring with that slope."""
     start = (jnp.asarray([0.5, 0.0]), jnp.zeros(2))
     hard = {"joints.pitch_stiffness": 2.0, "joints.laws.hardening.cubic": 8192.0}
     laws = takeichi_20m(2, joint_laws=["hardening"], parameters=hard | {"joints.damping": 0.7})
@@ -293,7 +293,7 @@ class Coupled(Creep):
 
 
 class Tethered(Creep):
-    """To its neighbour, while their commands are apart from them alike."""
+    """A law whose torque depends on the distance of the neighbour from its command."""
 
     def torque(self, at):
         return -at.states[0] - 0.1 * jnp.roll(at.angles - at.command, 1)
@@ -310,7 +310,7 @@ class Giving(Creep):
 
 
 class Forgetting(Creep):
-    """As if nothing were stored."""
+    """A law that reports no stored energy."""
 
     def energy(self, at):
         return 0 * at.rates
@@ -397,7 +397,7 @@ class Misled(Creep):
 
 
 class Slipping(Creep):
-    """Of a limited torque: it has a rate, and slips."""
+    """A law with limited torque and a rate, which slips."""
 
     def return_mapped(self, angles, states):
         return jnp.clip(states, -0.3, 0.3)
@@ -421,7 +421,7 @@ def test_a_law_with_a_rate_that_slips_does_so_alone_and_beside_others():
 
 
 class Astray(Memory):
-    """Twice as far along its way as its rate says."""
+    """A law whose state moves at twice its rate."""
 
     strength: jax.Array = parameter(0.2, unit="N m", doc="torque")
 
@@ -455,7 +455,7 @@ class Astray(Memory):
         (Forgetting(), "Forgetting.torque releases more energy than Forgetting.energy had stored"),
         (
             Rough(),
-            "Rough.torque has a derivative with respect to its rates that is not finite at .* 0 "
+            "Rough.torque has a derivative with respect to the rates that is not finite at .* 0 "
             "rad/s",
         ),
         (Infinite(), "Infinite.energy has a value that is not finite at"),
@@ -466,8 +466,8 @@ class Astray(Memory):
         (Cooler(), "Cooler.dissipation does not match the loss from torque and energy at"),
         (
             Misled(),
-            "Misled.torque has a derivative with respect to its states that is not that of "
-            "finite differences",
+            "Misled.torque has a derivative with respect to the states that does not match finite "
+            "differences",
         ),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, AbstractJointLaw) else "",
@@ -494,7 +494,7 @@ def test_a_law_is_tried_once_for_its_numbers_and_joints():
 
 @giajax.register
 class Bellows(AbstractJointLaw):
-    """Two bellows against each other; their pressures follow through a valve."""
+    """Two opposing bellows, whose pressures follow through a valve."""
 
     passive = False
     rows = 2
@@ -526,7 +526,7 @@ def test_pressures_of_a_run_drive_a_law_of_ones_own(tmp_path):
     times = np.linspace(0, 20.0, 5)
     options = {"rtol": 1e-8, "atol": 1e-8}
     by_angle = giajax.simulate(arm, constant(jnp.asarray([0.3, -0.1])), times, **options)
-    # Its controller holds the command, at pressures that have settled.
+    # The controller holds the command at settled pressures.
     assert_allclose(by_angle.angles[-1], [0.3, -0.1], atol=1e-3)
     file = tmp_path / "run.csv"
     (tmp_path / "run.toml").write_text(
@@ -578,7 +578,7 @@ def test_names_of_laws_are_those_of_registered_ones_each_once():
         with pytest.raises(InputError, match="give a list of names or instances of laws"):
             takeichi_20m(2, joint_laws=wrong)
     for given in (Spring(ONE), Memory(strength=0.1)):
-        with pytest.raises(InputError, match="is a law that parameters of the joints switch on"):
+        with pytest.raises(InputError, match="is switched on by parameters of the joints"):
             takeichi_20m(2, joint_laws=[given])
     with pytest.raises(InputError, match='\'Nobodys\' must be "hardening", "end_stops" or'):
         giajax.recordings.Definition.parse({"arm": {"joint_laws": ["Nobodys"]}}, "test")

@@ -1,4 +1,4 @@
-"""Hysteresis of joints: closed forms, energy, and the operators of the room beside it."""
+"""Joint hysteresis: closed forms, energy, and the operators of `mechanics.hysteresis`."""
 
 import equinox as eqx
 import jax
@@ -35,7 +35,7 @@ def moment(angles, rates=None, states=None):
 
 
 def along(element, angles):
-    """States and torques of one joint with sliding elements after each of many angles (rad)."""
+    """Return states and torques of one joint with sliding elements after each angle (rad)."""
     states = element.unstrained(jnp.asarray(angles[:1]))
 
     def move(states, angle):
@@ -52,7 +52,7 @@ def test_one_stop_dissipates_what_its_loop_encloses():
     loop = np.concatenate([quarter[::-1], -quarter[1:], -quarter[-2::-1], quarter[1:]])
     angles = np.concatenate([quarter, loop])
     torques = np.asarray(along(element, angles)[1])[len(quarter) :]
-    # Torque is linear between two of these angles: every corner is one of them.
+    # The torque is linear between these angles, because every corner is one of them.
     work = np.sum(np.diff(loop) * (torques[1:] + torques[:-1]) / 2)
     stiffness = strength / yield_angle
     assert work == pytest.approx(4 * strength * (amplitude - strength / stiffness), abs=1e-8)
@@ -92,11 +92,11 @@ def test_what_bouc_wen_takes_is_stored_or_lost_and_never_given(nu, delta):
     random = np.random.default_rng(0)
     z, rates = jnp.asarray(random.uniform(-1, 1, (1, 50))), jnp.asarray(random.normal(size=50))
     at = moment(rates, rates, z)
-    # By hand: what is stored is S y z^2 / 2.
+    # By hand: the stored energy is S y z^2 / 2.
     lost = 0.2 * z[0] * (rates - 0.03 * element.rate(at)[0])
     assert_allclose(element.dissipation(at), lost, rtol=1e-13, atol=1e-16)
     assert np.all(lost >= -1e-16)
-    # It depends on the way, not on the time that it takes.
+    # The state depends on the path, not on the time.
     quicker = at._replace(rates=3.0 * rates)
     assert_allclose(element.rate(quicker), 3.0 * element.rate(at), rtol=1e-13)
 
@@ -112,7 +112,7 @@ def test_what_stops_take_is_stored_or_lost_along_any_way():
     moments = jax.vmap(moment)(rows[1:], jnp.asarray(moves)[:, None], states[1:])
     lost = jax.vmap(element.dissipation)(moments)[:, 0]
     assert np.all(lost >= 0)
-    # A step in which an element begins to slide is counted as sliding as a whole.
+    # A step in which an element starts to slide counts as a sliding step.
     corners = 2 * 10 * 0.12 * np.max(np.abs(moves))
     assert work == pytest.approx(energy[-1] - energy[0] + np.sum(lost), abs=corners)
     assert np.sum(lost) > 20 * corners
@@ -123,7 +123,7 @@ def test_the_energy_of_an_arm_has_what_its_joints_store():
     arm = takeichi_20m(3, parameters=parameters | {"joints.stops.yield_angle": [0.5, 0.7]})
     random = np.random.default_rng(2)
     angles, rates = (jnp.asarray(random.uniform(-0.3, 0.3, 3)) for _ in range(2))
-    memory = jnp.asarray(random.uniform(-0.1, 0.1, (3, 3)))  # no stop slides
+    memory = jnp.asarray(random.uniform(-0.1, 0.1, (3, 3)))  # no elastic element slides
     laws = arm.joints.further_laws
     moved = (rates, laws.rate(laws.at(angles, rates, angles, memory)))
 
@@ -203,7 +203,7 @@ def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
     expected = eqx.filter_jit(inverse_dynamics)(plain, angles, rates, turning) + heavier @ turning
     inverse = eqx.filter_jit(inverse_dynamics)
     assert_allclose(inverse(other, angles, rates, turning), expected, rtol=1e-12)
-    # The equation of motion and its derivatives have the same terms.
+    # The equation of motion and its derivatives have no additional terms.
     moved = eqx.filter_jit(acceleration)
     found = moved(other, angles, rates, angles)
     assert_allclose(inverse(other, angles, rates, found), -0.05 * rates, atol=1e-12)
@@ -217,7 +217,7 @@ def test_without_velocity_products_added_mass_is_in_the_mass_matrix_alone():
 
 
 def test_yield_angles_without_strengths_are_no_stops():
-    """They wait for a fit that switches the strengths on."""
+    """They are for a fit that enables the strengths."""
     arm = takeichi_20m(2, parameters={"joints.stops.yield_angle": [0.1, 0.2]})
     laws, still = arm.joint_laws, jnp.zeros(2)
     assert laws.rows == 0

@@ -1,4 +1,4 @@
-"""Where the links are and how they move."""
+"""Positions and velocities of the links."""
 
 import equinox as eqx
 import jax

@@ -1,8 +1,9 @@
-"""The equations of motion with every option on, derived again from energies alone.
+"""The equations of motion with all options enabled, derived again from the energies.
 
-Lagrange: d/dt dL/dv - dL/dq = torque + work of the drag, with L = T - V. Here T is made from the
-velocities of points and of thin rods of fluid, and these from positions, by differentiation;
-rotations are Rodrigues' matrices. Nothing of giajax's mechanics is used, only the arm's numbers.
+Lagrange: d/dt dL/dv - dL/dq = torque + generalised force of the drag, with L = T - V. Here, T
+    follows
+from the velocities of points and of thin rods of fluid, which are derivatives of their positions.
+Rotations are Rodrigues' matrices. Only the values of the arm come from giajax, not its mechanics.
 """
 
 import jax
@@ -28,7 +29,7 @@ GUSTS = random_states(LINKS, 4, seed=9)["wind"]
 
 @pytest.fixture(scope="module")
 def arm():
-    """Every number of every link, joint and body its own."""
+    """Return an arm in which all values of links, joints and bodies differ."""
     arm = full_arm(LINKS)
     each = {
         "links.fullness": [0.9, 0.7, 0.8],
@@ -47,14 +48,14 @@ def numbers(arm):
 
 
 def turned(axis, angle):
-    """Rodrigues' rotation matrix about a unit axis."""
+    """Return Rodrigues' rotation matrix about a unit axis."""
     x, y, z = axis
     skew = np.asarray([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + jnp.sin(angle) * skew + (1 - jnp.cos(angle)) * (skew @ skew)
 
 
 def frames(arm, angles):
-    """Matrix of each link (its columns are along, left, up) and position of each joint."""
+    """Return the matrix of each link (columns along, left, up) and the position of each joint."""
     size = np.linalg.norm(arm.base_rotation)
     frame, joint, found = turned(arm.base_rotation / size, size), jnp.zeros(3), []
     for link in range(LINKS):
@@ -65,18 +66,18 @@ def frames(arm, angles):
 
 
 def positions(arm, angles, places):
-    """Points given by link and place in the link's frame, shape (point, 3)."""
+    """Return points, given by link and place in the link's frame, shape (point, 3)."""
     here = frames(arm, angles)
     return jnp.stack([here[i][1] + here[i][0] @ np.asarray(place) for i, *place in places])
 
 
 def motion(arm, angles, rates, places):
-    """Positions and velocities of points."""
+    """Return positions and velocities of points."""
     return jax.jvp(lambda q: positions(arm, q, places), (angles,), (rates,))
 
 
 def carried(arm):
-    """Everything with a mass, and its link and place in the link's frame."""
+    """Return all masses, with their link and place in the link's frame."""
     links, held, fixed = arm.links, arm.buoyancy, arm.point_masses
     found = []
     for i in range(LINKS):
@@ -92,12 +93,12 @@ def carried(arm):
 
 
 def along(arm, node):
-    """The place of each link at which a Gauss rule on [-1, 1] has a node."""
+    """Return the place of each link that belongs to a Gauss node on [-1, 1]."""
     return [(i, arm.links.length[i] * (1 + node) / 2, 0.0, 0.0) for i in range(LINKS)]
 
 
 def links_energy(arm, angles, rates):
-    """Kinetic energy of the structure and all that it carries, and of the drives."""
+    """Return the kinetic energy of the structure, of all that it carries, and of the drives."""
     links = arm.links
     masses, places = carried(arm)
     _, velocity = motion(arm, angles, rates, places)
@@ -105,8 +106,9 @@ def links_energy(arm, angles, rates):
     here, moving = jax.jvp(lambda q: frames(arm, q), (angles,), (rates,))
     for i in range(LINKS):
         (frame, _), (turning, _) = here[i], moving[i]
-        # A round body: |de/dt| is its angular velocity across itself, and the rate of its left
-        # direction towards its up direction is that about itself. Helium takes no part in it.
+        # For a round body, |de/dt| is the transverse angular velocity. The rate of its left
+        # direction towards its up direction is the axial one. Helium does not take part in the
+        # axial rotation.
         lean, spin = turning[:, 0] @ turning[:, 0], turning[:, 1] @ frame[:, 2]
         helium = arm.buoyancy.helium_density * links.volume[i]
         inertia = helium * (links.length[i] ** 2 / 12 + links.diameter[i] ** 2 / 16)
@@ -116,16 +118,16 @@ def links_energy(arm, angles, rates):
 
 
 def across(arm, angles, vectors):
-    """The part of a vector of each link that is normal to the link, and that along it."""
+    """Split a vector of each link into the parts normal to the link and along it."""
     directions = jnp.stack([frame[:, 0] for frame, _ in frames(arm, angles)])
     size = (vectors * directions).sum(axis=1)
     return vectors - size[:, None] * directions, size, directions
 
 
 def fluid_energy(arm, angles, rates, wind):
-    """Kinetic energy of the air that moves across each link, by pieces of it.
+    """Return the kinetic energy of the air that moves transversely with each link.
 
-    A Gauss rule of two points is exact, because the velocity is linear along the link.
+    A Gauss rule with two points is exact, because the velocity is linear along the link.
     """
     mass = arm.air.added_mass_coefficient * arm.air.density * arm.links.volume
     energy = jnp.zeros(())
@@ -137,7 +139,7 @@ def fluid_energy(arm, angles, rates, wind):
 
 
 def potential(arm, angles, gust):
-    """Weight, lift, and the pressure gradient of a wind that grows."""
+    """Return the potential energy of weight, lift, and the pressure gradient of a changing wind."""
     masses, places = carried(arm)
     centre = positions(arm, angles, along(arm, 0.0))
     air = arm.air.density * arm.links.volume
@@ -147,7 +149,7 @@ def potential(arm, angles, gust):
 
 
 def drag_torque(arm, angles, rates, wind):
-    """Forces of the drag at three Gauss points of each link and at the bodies, pulled back."""
+    """Return the joint torques of the drag at three Gauss points per link and at the bodies."""
     total = jnp.zeros(LINKS)
     reference = cylinder_drag_coefficient(jnp.asarray(1e5))
     half_area = 0.5 * arm.air.density * arm.links.length * arm.links.diameter
@@ -175,7 +177,7 @@ def drag_torque(arm, angles, rates, wind):
 
 
 def lagranges_torque(arm, angles, rates, accelerations, wind, gust):
-    """Torque of the joints at a time at which the wind is `wind`, and grows by `gust`."""
+    """Return the joint torques at a time at which the wind is `wind` and its rate is `gust`."""
 
     def lagrangian(q, v, t):
         kinetic = links_energy(arm, q, v) + fluid_energy(arm, q, v, wind + arm.air.wind + gust * t)

@@ -1,4 +1,4 @@
-"""What hangs on the links and lifts them: trim, helium, point masses, and the presets with them."""
+"""Masses and buoyancy of the links: trim, helium, point masses, and the presets that use them."""
 
 import dataclasses
 
@@ -27,13 +27,13 @@ inverse_dynamics = eqx.filter_jit(giajax.mechanics.arm.inverse_dynamics)
 mass_matrix = eqx.filter_jit(giajax.mechanics.arm.mass_matrix)
 accelerations_by_angles = eqx.filter_jit(jax.jacfwd(giajax.mechanics.arm.acceleration, argnums=1))
 
-# What a link of the paper's arm displaces, kg.
+# Mass of the air that a link of the paper's arm displaces, kg.
 DISPLACED = 1.204 * np.pi / 4 * 0.3**2 * 0.99
 
 
 @pytest.mark.parametrize("structure", [0.02, 0.047, 0.06])
 def test_a_trimmed_link_moves_with_the_mass_of_the_air_it_displaces(structure):
-    """At the end of a long massless lever M / R^2 is the moving mass, whatever is its structure."""
+    """At the end of a long massless lever, M / R^2 is the effective mass for any structure."""
     lever = 1e6
     arm = takeichi_20m(
         2,
@@ -54,7 +54,7 @@ def test_a_trimmed_link_moves_with_the_mass_of_the_air_it_displaces(structure):
 
 
 def test_a_link_lifts_what_the_paper_says():
-    """0.0843 kg of air against 0.0116 kg of helium and 0.047 kg of structure."""
+    """0.0843 kg of air, compared with 0.0116 kg of helium and 0.047 kg of structure."""
     arm = takeichi_20m(gravity=9.81, buoyancy=True)
     assert_allclose(net_lift(arm), DISPLACED - 0.011645 - 0.047, rtol=1e-4)
     assert_allclose(inverse_dynamics(arm, *[jnp.zeros(20)] * 3)[1::2], 0, atol=1e-12)
@@ -63,7 +63,7 @@ def test_a_link_lifts_what_the_paper_says():
 @pytest.mark.slow
 @pytest.mark.parametrize("build", [takeichi_20m, full_arm], ids=["the paper's", "uneven"])
 def test_a_trimmed_arm_stays_wherever_it_is_put(build):
-    """Weight and lift balance about every point of a level link, whatever its pose."""
+    """Weight and lift balance about every point of a level link, in any pose."""
     held = takeichi_20m(1, buoyancy=True).buoyancy
     arm = dataclasses.replace(build(4), point_masses=None, buoyancy=held)
     share, along = jnp.array([0.3, 0.4, 0.5, 0.2]), jnp.array([0.45, 0.6, 0.5, 0.5])
@@ -83,7 +83,7 @@ def test_a_trimmed_arm_stays_wherever_it_is_put(build):
     falls = acceleration(arm, angles, still, still, calm)
     assert np.abs(falls).max() > 0.1
     assert_allclose(found, 0, atol=1e-11 * np.abs(falls).max())
-    # Not level, it floats, but turns.
+    # If it is not level, it floats but rotates.
     off = trimmed(arm)
     assert_allclose(net_lift(off), 0, atol=1e-15)
     assert np.abs(acceleration(off, angles, still, still, calm)).max() > 1e-3
@@ -94,18 +94,18 @@ def test_the_full_arm_floats_at_rest_when_it_is_straight():
     arm, still = takeichi_20m_full(), jnp.zeros(20)
     assert_allclose(acceleration(arm, still, still, still), 0, atol=1e-11)
     assert_allclose(net_lift(arm), 0, atol=1e-15)
-    # The camera is part of what its link carries, and the weight is nearer to the base for it.
+    # The camera belongs to the load of its link, so the trim weight is nearer to the base.
     lighter = arm.buoyancy.trim_mass[-2] - arm.buoyancy.trim_mass[-1]
     assert_allclose(lighter, 0.003, rtol=1e-9)
     assert 0.4 < float(arm.buoyancy.trim_position[-1]) < 0.495
-    # Weights below the axis pull a raised arm back: a link alone by 0.038 N m/rad.
+    # Weights below the axis pull a raised arm back; for a single link with 0.038 N m/rad.
     raised = inverse_dynamics(arm, still.at[18].set(1e-6), still, still)
     depth, weights = 0.15, arm.buoyancy.trim_mass
     assert_allclose(raised[18] / 1e-6, 9.80665 * depth * weights[18:].sum(), rtol=1e-4)
 
 
 def test_weights_below_the_axis_are_a_stiffness():
-    """m g h for a floating link with its weight m at the depth h: 0.15 m give 0.038 N m/rad."""
+    """m g h for a floating link with weight m at depth h: 0.15 m give 0.038 N m/rad."""
     arm = takeichi_20m(1, gravity=9.81, trim=True, parameters={"buoyancy.trim_depth": 0.15})
     angle = 0.3
     torque = inverse_dynamics(arm, jnp.array([angle]), jnp.zeros(1), jnp.zeros(1))
@@ -122,7 +122,7 @@ def test_lift_that_is_left_over_raises_the_arm():
 
 
 def test_a_point_mass_is_what_the_link_would_be_with_it():
-    """The centre of mass moves, and Steiner's terms join the inertia; checked about three axes."""
+    """Centre of mass and inertia (parallel axes) of the combined link, checked about three axes."""
     place, size = np.array([0.9, 0.1, -0.2]), 0.05
     fixed = PointMasses((1,), *(jnp.asarray(x) for x in (size, *place)))
     for axis in np.eye(3):
@@ -145,7 +145,7 @@ def test_two_bodies_on_one_link_are_one_in_their_middle():
 
 
 def test_a_pendulum_hangs_down_and_swings_as_a_rod():
-    """One thin rod: w^2 = m g (L/2) / (m L^2 / 3 + m r^2 / 2) = 3 g / (2 L) for r = 0."""
+    """A thin rod: w^2 = m g (L/2) / (m L^2 / 3 + m r^2 / 2) = 3 g / (2 L) for r = 0."""
     g = 9.80665
     slope = accelerations_by_angles(pendulum(), *[jnp.zeros(1)] * 3)
     assert_allclose(-slope, [[3 * g / 2 / (1 + 1.5 * 0.01**2)]], rtol=1e-12)
@@ -187,19 +187,20 @@ def camera(link, **places):
             lambda: takeichi_20m(point_masses=camera(99)),
             "a point mass is on link 99 of an arm with only 20 links: correct the number",
         ),
-        (lambda: camera(0), "a point mass has no link, or one below 1: number its link"),
+        (lambda: camera(0), "a point mass has no link, or a link number below 1: number links"),
         (
             lambda: PointMasses((), 0.1, 0.2),
-            "a point mass has no link, or one below 1: number its link",
+            "a point mass has no link, or a link number below 1: number links",
         ),
         (lambda: camera(1, up=jnp.zeros(2)), "have 1 links and a up of shape (2,)"),
         (
             lambda: takeichi_20m(3, mass=[0.04, 0.1, 0.05], trim=True),
-            "link 2 is 0.0274 kg too heavy to float, so no trim weight balances it",
+            "link 2 is 0.0274 kg too heavy to float, so no trim weight can balance it",
         ),
         (
             lambda: takeichi_20m(2, mass=0.07, trim=True, centre_of_mass=0.2),
-            "link 1 floats level only with its trim weight 8.41 m along a link of 0.99 m",
+            "link 1 would float level only with a trim weight at 8.41 m along its axis, which is "
+            "outside the link of 0.99 m",
         ),
         (
             lambda: trimmed(takeichi_20m(2)),

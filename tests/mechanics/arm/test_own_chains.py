@@ -1,4 +1,4 @@
-"""Arms that somebody describes: nothing of the paper's, any axes and inertias, as bodies move."""
+"""User-defined arms with arbitrary axes and inertias, compared with rigid-body mechanics."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ ARM = {**SIZES, "joint_axes": ["pitch", "yaw", [1.0, 2.0, -1.0]], "parameters": 
 
 
 def tensors(seed=3):
-    """Rows of inertia of bodies that exist: of three moments none exceeds the sum of the others."""
+    """Return rows of physical inertias, in which no moment exceeds the sum of the other two."""
     random = np.random.default_rng(seed)
     rows = []
     for _ in range(LINKS):
@@ -51,7 +51,7 @@ def own(**changes):
 
 
 def turn(vector):
-    """Rotation matrix of a rotation vector (Rodrigues)."""
+    """Return the rotation matrix of a rotation vector (Rodrigues)."""
     angle = np.linalg.norm(vector)
     if angle == 0:
         return np.eye(3)
@@ -61,7 +61,7 @@ def turn(vector):
 
 
 def energies(angles, rates):
-    """Kinetic and potential energy from each body's velocities, in numpy, one body at a time."""
+    """Return kinetic and potential energy from the velocities of each body, in NumPy."""
     axes = np.array([[0, -1, 0], [0, 0, 1], np.array([1, 2, -1]) / np.sqrt(6)])
     frame, joint = turn([0.3, -0.2, 0.5]), np.zeros(3)
     spin, velocity, kinetic, potential = np.zeros(3), np.zeros(3), 0.0, 0.0
@@ -93,7 +93,7 @@ def test_energies_are_those_of_its_bodies():
         assert_allclose(rates @ mass_matrix(arm, angles) @ rates / 2, kinetic, rtol=1e-7)
         state = jnp.asarray(angles), jnp.asarray(rates)
         assert_allclose(kinetic_energy(arm, *state), kinetic, rtol=1e-7)
-        # Commanded to where they are, springs store nothing.
+        # With a command equal to the angles, springs store no energy.
         height = potential_energy(arm, state[0], state[0]) - potential_energy(arm, still, still)
         assert_allclose(height, potential - rest, rtol=1e-7)
 
@@ -152,16 +152,16 @@ def test_files_state_it_as_python_does():
         {"link": link} | {key: BALL[name][i] for name, key in columns.items()}
         for i, link in enumerate(BALL["links"])
     ]
-    # A sidecar that giajax wrote has other inertias below it.
+    # A sidecar written by giajax contains further inertias below it.
     section |= {"link_inertia_transverse_kg_m2": 1.0, "link_inertia_axial_kg_m2": 1.0}
     arm = arm_from_definition(giajax.Definition.parse({"arm": section}))
     assert eqx.tree_equal(arm, own(), rtol=1e-12, atol=1e-12)
-    # Its own definition names no preset, and has all that a fit does not find.
+    # The definition names no preset and contains everything that a fit does not estimate.
     again = arm_from_definition(giajax.Definition.parse({"arm": arm_to_definition(arm)}))
     values = {path: giajax.get(arm, path) for path in default_free(arm)}
     assert eqx.tree_equal(giajax.replace(again, values), arm, rtol=1e-12, atol=1e-12)
-    # What giajax wrote has the links in points, which a stated inertia replaces: over it, under
-    # it, and under masses of one's own.
+    # A definition written by giajax describes links by points. A given inertia replaces them, in a
+    # definition that is merged above or below, and with user-defined masses.
     written = arm_to_definition(arm)
     assert sum(entry.get("structural", False) for entry in written["point_masses"]) == 18
     for merged in (section | written, written | {"link_inertia_kg_m2": tensors()}):
@@ -194,19 +194,19 @@ def test_what_is_not_stated_is_neutral():
     assert (float(planar.gravity), float(planar.air.drag_coefficient)) == (9.80665, 1.0)
     assert (planar.joints.friction, planar.joints.armature, planar.air.wind) == (None,) * 3
     free = ("joints.pitch_stiffness", "joints.damping", "air.drag_coefficient")
-    assert default_free(planar) == free  # no stiffness of yaw joints, of which there are none
+    assert default_free(planar) == free  # without yaw joints, there is no yaw stiffness
 
 
 @pytest.mark.parametrize(
     ("left_out", "named"),
     [
-        ("length", r"lacks links\.length \(link_length_m\): state"),
-        ("diameter", r"lacks links\.diameter \(link_diameter_m\): state"),
-        ("mass", r"lacks links\.mass \(link_mass_kg\): state"),
-        ("joint_axes", "lacks joint_axes: state"),
-        ("joints.pitch_stiffness", r"this arm lacks joints\.pitch_stiffness: state"),
-        ("joints.yaw_stiffness", r"this arm lacks joints\.yaw_stiffness: state"),
-        ("joints.damping", r"this arm lacks joints\.damping: state"),
+        ("length", r"lacks links\.length \(link_length_m\): give"),
+        ("diameter", r"lacks links\.diameter \(link_diameter_m\): give"),
+        ("mass", r"lacks links\.mass \(link_mass_kg\): give"),
+        ("joint_axes", "lacks joint_axes: give"),
+        ("joints.pitch_stiffness", r"this arm lacks joints\.pitch_stiffness: give"),
+        ("joints.yaw_stiffness", r"this arm lacks joints\.yaw_stiffness: give"),
+        ("joints.damping", r"this arm lacks joints\.damping: give"),
     ],
 )
 def test_what_has_no_neutral_value_must_be_stated(left_out, named):

@@ -1,4 +1,4 @@
-"""Muscles in joints of an arm: the statics of a joint in place, finite and with slopes."""
+"""Muscles in joints of an arm: the statics of a joint, with finite values and derivatives."""
 
 import functools
 
@@ -38,7 +38,7 @@ commanded = eqx.filter_jit(Pneumatics.commanded)
 
 
 def held_at(drive, angles, pressures):
-    """Joints that are held at angles, with such pressures in their muscles."""
+    """Return the torques of joints held at these angles with these muscle pressures."""
     still = jnp.zeros_like(angles)
     return JointLaws((drive,)).at(angles, still, still, None, pressures)
 
@@ -78,7 +78,7 @@ def test_the_controller_of_an_arm_is_that_of_a_joint():
     for joint in (0, 2):
         assert_allclose(found[:, joint], of_a_joint(command[joint]), rtol=1e-13)
     assert_allclose(found[:, np.asarray([1, 3])], 0)
-    # A joint that is stiff of itself is held against that, too.
+    # The passive stiffness of a joint is compensated, too.
     stiff = takeichi_20m(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.2})
     torque = joint_torque(stiff, command, jnp.zeros(LINKS), command)
     assert_allclose(torque, 0, atol=1e-14)
@@ -103,7 +103,7 @@ def test_beyond_its_range_a_joint_is_finite_and_comes_back():
 
 
 def special_states():
-    """Angles (rad) and pressures (Pa) at which something begins or ends."""
+    """Return angles (rad) and pressures (Pa) at the limits of regimes."""
     taut, wrapped = branch_angles(PAIR.joint.geometry)
     correction = PAIR.joint.correction
     kinks = [0.0, taut, wrapped, correction.blend, float(correction.beta.width)]
@@ -115,14 +115,14 @@ def special_states():
 
 @functools.cache
 def flat_drive(stiffness):
-    """The parameters of a joint with that stiffness of its own, and how they are put together."""
+    """Return the parameters of a joint with this passive stiffness, and their structure."""
     stiff = {"drive.passive_stiffness": stiffness}
     flat, unflatten = ravel_pytree(takeichi_20m(1, muscles="all", parameters=stiff).pneumatics)
     return np.asarray(flat), unflatten
 
 
 def values(unflatten):
-    """Torque, controller and energy of one joint, by its parameters, angle and pressures."""
+    """Return torque, controller and energy of one joint, for parameters, angle and pressures."""
 
     def of(flat, row):
         own = unflatten(flat)
@@ -138,7 +138,7 @@ ORDINARY = [(0.3, 3e4, 2.5e4), (-0.03, 2.7e4, 2.6e4), (1.2, 5e4, 1.5e4)]
 
 @functools.cache
 def slopes(mode, stiffness):
-    """By parameters, and by angle and pressures, in ordinary and in special states."""
+    """Return derivatives by parameters, angle and pressures, in ordinary and in special states."""
     flat, _ = flat_drive(stiffness)
     rows = np.asarray([*ORDINARY, *special_states()])
     return [np.asarray(each) for each in slopes_by(mode)(flat, rows)]
@@ -172,12 +172,12 @@ def test_derivatives_are_those_that_differences_show():
 
 @eqx.filter_jit
 def stored_along(arm, angles, rates, command):
-    """How fast what is stored grows."""
+    """Return the rate of the stored energy."""
     return jax.jvp(lambda q: potential_energy(arm, q, command), (angles,), (rates,))[1]
 
 
 def test_what_muscles_do_is_stored_or_resisted():
-    """Power of the torque = power of the pressures - rate of what is stored."""
+    """Power of the torque = power of the pressures - rate of the stored energy."""
     pull = jax.jit(lambda *at: muscle_torques(PAIR, *at, at[1] >= 0))
     arm = takeichi_20m(LINKS, muscles="pitch", parameters={"drive.passive_stiffness": 0.15})
     random = np.random.default_rng(4)
@@ -195,14 +195,14 @@ def test_what_muscles_do_is_stored_or_resisted():
 
 
 def test_an_ideal_braid_does_the_work_of_its_gas():
-    """F dL = -p dV for k = eta = 1 and no dead band (Chou and Hannaford)."""
+    """F dL = -p dV for k = eta = 1 without a dead band (Chou and Hannaford)."""
     ideal = {"muscle.end_correction": 1.0, "muscle.dead_band": 0.0}
     arm = takeichi_20m(1, muscles="all", parameters=ideal)
     drive, pressures = arm.pneumatics, jnp.asarray([[4e4], [2e4]])
     muscle, length = drive.muscle, drive.joint.geometry.muscle_length
 
     def volume(side):
-        """Of a cylinder of inextensible threads: its radius follows from its length."""
+        """Volume of a cylinder of inextensible threads, whose radius follows from its length."""
 
         def of(angles):
             left = muscle_path(drive.joint.geometry, side * angles).length / length
@@ -259,7 +259,7 @@ def test_a_bound_of_the_stiffness_holds_for_any_pressures():
     found = jax.jit(jax.vmap(jax.vmap(slope, (0, None)), (None, 0)))(angles, held)
     bound = drive.stiffest(held_at(drive, jnp.zeros(2), jnp.zeros((2, 2))))
     assert np.max(found) <= bound[0] < 1.2 * np.max(found)
-    # The stop is stiffer, and is none of it; nor have springs anything of the muscles.
+    # The stop is stiffer but not included, and springs are independent of the muscles.
     assert bound[0] < float(drive.drive.stop_stiffness)
     assert bound[1] == 0
 
@@ -277,7 +277,7 @@ def test_bad_muscles_are_refused():
         takeichi_20m(2, muscles="all", pair=JointPair(PAIR.joint, Piston()))
     with pytest.raises(InputError, match="joint 3 has muscles, but the arm has only 2 joints"):
         takeichi_20m(2, muscles=[1, 3])
-    with pytest.raises(InputError, match="increasing numbers of joints, from 1 on, each once"):
+    with pytest.raises(InputError, match="give joint numbers of at least 1 in increasing order"):
         takeichi_20m(2, muscles=[2, 1])
     with pytest.raises(InputError, match="no joint has muscles"):
         takeichi_20m(2, pair=JointPair())

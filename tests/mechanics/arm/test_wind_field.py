@@ -1,4 +1,4 @@
-"""Winds that are functions of place and time: what they push, how files name them, wrong ones."""
+"""Winds as functions of place and time: forces, names in files, and invalid winds."""
 
 import dataclasses
 import sys
@@ -32,7 +32,7 @@ from giajax.testing import check_wind
 
 WIND = jnp.asarray([1.0, -0.5, 0.2])
 MOVING = np.random.default_rng(0).normal(size=(2, 3))
-# A body off the axis with a drag of its own, and all that the air does.
+# A body off the axis with its own drag, and all effects of the air.
 BODY = PointMasses(
     (2,),
     mass=jnp.asarray([0.1]),
@@ -51,13 +51,13 @@ def full_arm(**changes):
 
 
 def everywhere(vector, position):
-    """Tests refuse to add axes to an array by themselves."""
+    """Broadcast explicitly, because the tests forbid implicit rank promotion."""
     return jnp.broadcast_to(jnp.asarray(vector), position.shape)
 
 
 @giajax.register
 class Sheared(AbstractWind):
-    """Linear in place and time: along x by y, along y by z and the time, along z by x."""
+    """A linear function of place and time: along x by y, along y by z and time, along z by x."""
 
     gradient: jax.Array = parameter((0.3, 0.1, -0.2), unit="1/s", shape=(3,), doc="by place")
     growth: jax.Array = parameter(0.4, unit="m/s^2", frozen=False, doc="of the wind along y")
@@ -82,7 +82,7 @@ def test_a_wind_that_is_the_same_everywhere_is_a_constant_wind():
         for function in (drag_force, drag_power):
             expected = function(arm, *rates, WIND)
             assert_allclose(function(blown, *rates), expected, rtol=1e-13)
-            # Beside that of the run, and the arm's own.
+            # In addition to the wind of the run and the arm's own wind.
             assert_allclose(function(blown, *rates, -WIND), function(arm, *rates), rtol=1e-9)
         command = jnp.zeros(3)
         assert_allclose(
@@ -92,7 +92,7 @@ def test_a_wind_that_is_the_same_everywhere_is_a_constant_wind():
 
 
 def test_the_wind_is_that_of_each_place_along_a_link_and_of_each_body():
-    """Drag on an arm that is held still, by a sum over many pieces of its links."""
+    """Drag on an arm at rest, compared with a sum over many pieces of its links."""
     wind = Sheared(gradient=jnp.asarray([3.0, -2.0, 1.0]))
     angles, time = jnp.asarray(MOVING[0]), 2.0
     still = jnp.zeros(3)
@@ -110,7 +110,7 @@ def test_the_wind_is_that_of_each_place_along_a_link_and_of_each_body():
             expected[link] += size * np.linalg.norm(across) * across
     assert_allclose(found, expected, rtol=1e-3, atol=1e-4)
     assert np.abs(drag_force(arm, angles, still) - found).max() > 0.01
-    # Of a body at the end of a lever alone.
+    # Drag of a body alone, at the end of a lever.
     bare = {"air.drag_coefficient": 0.0}
     arm = takeichi_20m(3, point_masses=BODY, wind_field=wind, parameters=bare)
     here = giajax.mechanics.arm.pose(arm, angles, sideways=True)
@@ -125,14 +125,14 @@ def test_drag_along_a_link_is_by_the_wind_at_each_place():
         return position * everywhere([1.0, 0.0, 0.0], position)
 
     arm = dataclasses.replace(full_arm(wind_field=stretching), point_masses=None)
-    # Straight along x: the wind at x is x, and the skin's drag goes with the mean of its square.
+    # Straight along x, the wind at x is x, so the drag of the skin depends on its mean square.
     x = np.asarray([0.0, 0.99, 1.98])
     expected = 0.5 * 1.204 * 0.3 * 0.02 * ((x + 0.99) ** 3 - x**3) / 3
     assert_allclose(drag_force(arm, jnp.zeros(3), jnp.zeros(3))[:, 0], expected, rtol=1e-12)
 
 
 def test_added_mass_feels_the_rate_of_the_air_that_passes():
-    """Of a field u(x, t), du/dt = growth + gradient u; without drag it is a wind of each link."""
+    """For a field u(x, t), du/dt = growth + gradient u; without drag, as with a wind per link."""
     none = {**FULL, "air.drag_coefficient": 0.0, "air.axial_coefficient": 0.0, "air.wind": WIND}
     plain = takeichi_20m(3, drag="strip", parameters=none)
     wind = Sheared()
@@ -157,7 +157,7 @@ def test_a_motion_in_a_function_is_that_in_its_recording():
     assert_allclose(found.angles, expected.angles, atol=2e-6)
     assert np.ptp(found.angles) > 0.01
     assert_allclose(found.accelerations, expected.accelerations, atol=2e-4)
-    # Step by step each interval begins at 0, and the wind goes on.
+    # Each interval of the stepper starts at time 0, but the wind must continue.
     stepper = Stepper(found.arm, interval=0.1, steps=4)
     moment = stepper.start()
     for _ in range(30):
@@ -208,7 +208,7 @@ def test_an_arm_in_a_wind_goes_through_its_definition_and_its_class_is_in_keys()
 
 
 def test_a_program_with_an_edited_function_is_another_one(monkeypatch):
-    """Its mark is that of its source, as that of a class is."""
+    """The key of a function depends on its source, like that of a class."""
     arm = takeichi_20m(1, wind_field=breeze)
     before = structure(arm)
     monkeypatch.setattr("giajax.runtime.programs.mark", lambda value: "edited")
@@ -260,9 +260,9 @@ class Late(Sheared):
         (rough, "rough has a derivative that is not finite"),
         (chosen, r"chosen fails \(TracerBoolConversionError"),
         (silent, r"silent fails \(ValueError\): correct it"),
-        (mixed, "mixed does not give each place .* its own wind: use position"),
-        (averaged, "averaged does not give each place .* its own wind"),
-        (outermost, "outermost does not give each place .* its own wind"),
+        (mixed, "mixed does not return a separate wind for each position .*: index positions"),
+        (averaged, "averaged does not return a separate wind for each position"),
+        (outermost, "outermost does not return a separate wind for each position"),
         (Late(), "Late has a value that is not finite at 60 s"),
         (sys.intern, "the wind field is .*: give a plain def or lambda of position"),
         (jax.jit(silent), "the wind field is .*: give a plain def or lambda of position"),

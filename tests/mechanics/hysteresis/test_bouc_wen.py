@@ -1,4 +1,4 @@
-"""Bouc-Wen: against scipy, its closed form, and what it must not depend on."""
+"""Bouc-Wen model: compared with scipy and a closed form, and invariances."""
 
 import itertools
 
@@ -52,7 +52,7 @@ def test_it_does_not_depend_on_the_sampling():
 
 
 def test_the_closed_form_of_the_virgin_curve():
-    """For nu = 1, dz/du = alpha - beta (gamma + delta) z on the way up."""
+    """For nu = 1 and increasing input, dz/du = alpha - beta (gamma + delta) z."""
     it = operator(nu=1.0, elastic=0.0)
     u = jnp.linspace(0.0, 2.0, 201)
     rate = 2.0 * (0.9 - 0.4)
@@ -68,7 +68,7 @@ def test_only_the_products_count():
 
 def test_the_rate_at_rest_has_derivatives():
     arguments = (0.5, 0.0, 1.3, 2.0, 0.9, -0.4)
-    # At nu = 1 the rate has a corner in z at 0: any slope between its two sides will do.
+    # For nu = 1, the rate has a corner at z = 0, so any slope between its two sides is valid.
     sides = [-2.0 * (0.9 + sign * 0.4) * 0.5 for sign in (1, -1)]
     for nu, (low, high) in ((1.0, sides), (1.5, (0.0, 0.0)), (2.0, (0.0, 0.0))):
         values = [jnp.asarray(a) for a in (*arguments, nu)]
@@ -95,7 +95,7 @@ def test_derivatives_against_differences():
 
 
 def halves(force, times):
-    """Rows of forces at half steps, as the oscillator wants them."""
+    """Return rows of forces at half steps, as the oscillator requires."""
     fractions = np.arange(1, 33) / 32
     before = np.concatenate([[times[0]], times[:-1]])
     at = before[:, None] + fractions[None] * (times - before)[:, None]
@@ -147,7 +147,7 @@ def test_without_hysteresis_it_is_a_linear_oscillator():
 
 
 def test_it_loses_the_energy_of_its_loops():
-    """Work done is stored, damped and lost in the loop; nothing comes from nowhere."""
+    """The work is stored, damped or dissipated in the loop, and no energy is created."""
     it = BoucWenOscillator(damping=0.0)
     times = np.linspace(0.0, 1.0, 8001)
     free = it.motion(*halves(lambda t: np.where(t < 0.05, 80.0, 0.0), times))
@@ -186,7 +186,7 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
     dahl = nu == 1 and delta == 0
     assert_allclose(bouc_wen_after(*given), expected, rtol=0, atol=1e-9 if dahl else 5e-5)
 
-    # By nu and delta, too, where the value itself is of a closed form that has neither of them.
+    # This includes nu and delta, which are absent from the closed form of the value.
     for index, step in enumerate([1e-6, 1e-6, 1e-5, 1e-6]):
 
         def by(x, index=index):
@@ -205,11 +205,11 @@ def test_z_after_a_way_is_that_of_its_equation(nu, delta):
 )
 @pytest.mark.parametrize("way", [-3.0, -0.8, -1e-3, 1e-3, 0.8, 3.0, 40.0])
 def test_derivatives_of_dahls_model_by_its_shape_are_integrals_along_the_way(by, source, way):
-    """d' = -d + source(y) in the direction of the motion, with y = 1 - (1 - y0) e^-x; by scipy."""
+    """d' = -d + source(y) along the motion, with y = 1 - (1 - y0) e^-x, integrated by scipy."""
     starts, size, sign = np.array([-0.99, -0.4, 0.0, 0.3, 0.999]), abs(way), np.sign(way)
     expected = []
     for begin in sign * starts:
-        zero = np.log1p(-min(begin, 0.0))  # where y is 0
+        zero = np.log1p(-min(begin, 0.0))  # position at which y is 0
         parts = [0.0, *([zero] if 0 < zero < size else []), size]
 
         def grown(x, begin=begin):
@@ -230,7 +230,7 @@ def test_derivatives_of_dahls_model_by_its_shape_are_integrals_along_the_way(by,
 
 @pytest.mark.parametrize("nu", [1.0, 1.4])
 def test_second_derivatives_of_z_are_differences_of_first_ones(nu):
-    """By nu of those by z: with nu = 1 they are of another formula than the value is."""
+    """Derivatives by nu of those by z; for nu = 1, their formula differs from that of the value."""
     ways, z, delta = (
         jnp.asarray([[0.4, -0.7], [-0.3, 0.2]]),
         jnp.asarray([0.2, -0.5]),
@@ -250,7 +250,7 @@ def test_second_derivatives_of_z_are_differences_of_first_ones(nu):
 
 
 def test_nothing_moves_without_a_way():
-    """Where a motion begins both sides have their own slope, and neither is NaN."""
+    """At the start of a motion, each side has its own slope, and neither is NaN."""
     still, z = jnp.zeros(1), jnp.asarray([0.4])
     nu, delta = jnp.asarray(1.0), jnp.asarray(0.0)
     value, slope = jax.jvp(

@@ -43,10 +43,10 @@ def test_xi_is_a_stop_between_0_and_1():
     xi = np.asarray(it.transition(wanted))
     assert xi.min() == pytest.approx(0, abs=1e-15)
     assert xi.max() == pytest.approx(1, abs=1e-15)
-    # Never faster than the wanted angle, so continuous at reversals.
+    # The slope is at most that of the desired angle, so the result is continuous at reversals.
     steps = np.abs(np.diff(np.asarray(wanted)))
     assert np.all(np.abs(np.diff(xi)) <= steps / 0.6 + 1e-12)
-    # It is 1 exactly after the travel since the reversal at -1, and not before.
+    # The result is 1 exactly when the travel since the reversal at -1 is complete.
     since = np.asarray(wanted[200:300]) + 1
     assert np.all((xi[200:300] > 1 - 1e-12) == (since > 0.6 - 1e-12))
 
@@ -62,7 +62,7 @@ def test_it_is_eq_12():
 
 
 def test_it_undoes_a_backlash_on_its_own_loop():
-    """A play has one pair of branches: beyond the travel eq. (12) is its inverse."""
+    """A play has one pair of branches, and beyond the travel eq. (12) is its inverse."""
     backlash = Play(thresholds=[0.3])
     turns = np.interp(np.linspace(0, 3, 601), np.arange(4), [0, 2, -2, 2])
     outputs = np.asarray(backlash.history(jnp.asarray(turns))[0][:, 0])
@@ -96,7 +96,7 @@ def test_isotonic_regression():
     found = isotonic(noisy)
     assert np.all(np.diff(found) >= 0)
     assert np.mean(found) == pytest.approx(np.mean(noisy))
-    # Nearest of all monotone sequences: no nearer than the noise-free line.
+    # The result is the nearest monotone sequence, so no farther away than the noise-free line.
     assert np.sum((found - noisy) ** 2) <= np.sum((np.linspace(0, 1, 200) - noisy) ** 2)
 
 
@@ -139,12 +139,12 @@ def test_bisection_inverts_any_rising_operator(operator):
     found, _ = operator.history(command)
     np.testing.assert_allclose(found, wanted, atol=1e-12)
     if isinstance(operator, PrandtlIshlinskii):
-        # Two inverses that know nothing of each other.
+        # The two inverses are implemented independently.
         np.testing.assert_allclose(command, operator.inverse().history(wanted)[0], atol=1e-12)
 
 
 def test_a_narrow_knee_is_inverted_over_its_whole_range():
-    """Where a few Runge-Kutta steps over the range are unstable."""
+    """A few Runge-Kutta steps over the range would be unstable."""
     operator = BoucWen(elastic=0.3, alpha=0.8, beta=20.0, gamma=0.8, delta=0.2)
     with np.errstate(all="ignore"):
         blown = operator.step(operator.reset(), jnp.asarray(2.0))[1]

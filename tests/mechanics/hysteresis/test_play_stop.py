@@ -1,4 +1,4 @@
-"""Play and stop: the scans against the definition, and the limits."""
+"""Play and stop: the scans compared with the definition, and limiting cases."""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from giajax.mechanics.hysteresis import Play, Stop, play, stop
 
 
 def definition(inputs, thresholds, state=None):
-    """Plays sample by sample, by numpy."""
+    """Compute plays sample by sample, in NumPy."""
     w = np.zeros_like(thresholds) if state is None else np.array(state)
     rows = np.empty((len(inputs), len(thresholds)))
     for k, u in enumerate(inputs):
@@ -20,7 +20,7 @@ def definition(inputs, thresholds, state=None):
 
 
 def walk(samples, seed=0, size=0.05):
-    """A random input that turns often."""
+    """Return a random input with many reversals."""
     return np.cumsum(np.random.default_rng(seed).normal(scale=size, size=samples))
 
 
@@ -31,7 +31,7 @@ def test_both_scans_are_the_definition_over_a_long_history():
     for method in ("scan", "associative"):
         found = np.asarray(play(jnp.asarray(inputs), jnp.asarray(thresholds), method=method))
         assert np.max(np.abs(found - expected)) < 1e-14
-        # Not only near: the same operations on the same numbers.
+        # Bit for bit, because the operations are the same.
         np.testing.assert_array_equal(found, expected)
 
 
@@ -104,7 +104,7 @@ def test_derivatives_against_differences(method):
 
 
 def test_a_rest_does_not_lose_the_derivative():
-    # After u stops, w stays at u - r: still one to one with u and r.
+    # After u stops, w stays at u - r, so the slopes with respect to u and r remain.
     inputs, thresholds = jnp.asarray([0.0, 1.0, 1.0, 1.0]), jnp.asarray([0.3])
     for method in ("scan", "associative"):
         slope = jax.jit(jax.jacfwd(lambda r, m=method: play(inputs, r, method=m)[-1, 0]))(

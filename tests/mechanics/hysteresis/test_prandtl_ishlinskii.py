@@ -1,4 +1,4 @@
-"""Prandtl-Ishlinskii operators, plain and modified: limits, and inverses on rough histories."""
+"""Prandtl-Ishlinskii operators, plain and modified: limits, and inverses for rough histories."""
 
 import equinox as eqx
 import jax
@@ -32,7 +32,7 @@ def operator(elements="play", seed=0, count=12):
 
 
 def curve():
-    # Soft about 0, harder beyond, and not symmetric.
+    # Soft about 0, stiffer beyond, and asymmetric.
     return DeadZones(1.4, [0.05, 0.3, 0.9], [0.3, 0.15, 0.4], [0.08, 0.5], [0.5, 0.1])
 
 
@@ -50,7 +50,7 @@ def plays(seed=0):
 
 
 def rough(samples=2000, seed=1):
-    """A history with loops within loops, up to about 1.5."""
+    """Return a history with nested loops, up to about 1.5."""
     random = np.random.default_rng(seed)
     turns = random.uniform(-1.5, 1.5, 60) * random.uniform(0.1, 1.0, 60)
     turns[0] = 0.0
@@ -90,7 +90,7 @@ def test_the_inverse_undoes_it(make, seed):
     command = history(it.inverse(), wanted)[0]
     span = float(jnp.ptp(wanted))
     assert float(jnp.max(jnp.abs(history(it, command)[0] - wanted))) < 1e-10 * span
-    # The inverse matters: without it the output is far from what is wanted.
+    # The inverse must have an effect: without it, the error of the output is large.
     assert float(jnp.max(jnp.abs(history(it, wanted)[0] - wanted))) > 0.05 * span
 
 
@@ -126,7 +126,7 @@ def test_unsorted_thresholds_are_the_same_operator():
 
 
 def test_only_the_modified_form_has_a_place_of_its_own():
-    """Shifting the input far from 0 shifts loops of the plain operator, and no others."""
+    """A large shift of the input shifts the loops of the plain operator, but not of the other."""
     base = np.concatenate([np.linspace(0, 3, 100), np.tile([3.2, 2.8], 20)])
     far = jnp.asarray(np.concatenate([base, np.linspace(2.8, 0.2, 50), np.tile([0.2, -0.2], 20)]))
     for it, same in ((operator(), True), (modified(), False)):
@@ -146,7 +146,7 @@ def test_the_curve_by_its_definition():
 
 
 def test_where_the_curve_is_level_its_inverse_jumps():
-    """As where a fit leaves a slope on its bound."""
+    """A fit may leave a slope at its bound of zero."""
     level = eqx.tree_at(lambda it: it.upper_slopes, curve(), jnp.asarray([0.0, 0.15, 0.4]))
     x = jnp.asarray([-2.0, -0.3, 0.04, 0.06, 0.29, 0.31, 1.5])
     back = np.asarray(level.inverse()(level(x)))

@@ -1,4 +1,4 @@
-"""The Preisach operator: against relays one by one, and by what characterises it."""
+"""The Preisach operator: compared with single relays, and its characteristic properties."""
 
 import itertools
 
@@ -30,13 +30,13 @@ def operator(rows=12, **changed):
 
 
 def path(turns, samples=40):
-    """A history through turning points, and where in it they are."""
+    """Return a history through turning points, and their positions in it."""
     pieces = [np.linspace(a, b, samples) for a, b in itertools.pairwise(turns)]
     return jnp.asarray(np.concatenate([[turns[0]], *(piece[1:] for piece in pieces)]))
 
 
 def relays(it, inputs, fine=200):
-    """Each relay of the same density switched by its two thresholds, by numpy."""
+    """Switch each relay of the same density by its two thresholds, in NumPy."""
     weights = np.repeat(np.asarray(it.cells()), fine, axis=1) / fine
     r = np.asarray(it.half_widths)[:, None]
     fractions = (np.arange(weights.shape[1]) + 0.5) / weights.shape[1]
@@ -54,7 +54,7 @@ def test_it_is_its_relays():
     it = operator()
     inputs = path([0, 0.9, -0.7, 0.5, -0.2, 0.35, -1.1, 1.15, 0.0], 25)
     expected = relays(it, inputs)
-    # A play cuts a fine relay at most once in each row: 1/4800 of it.
+    # A play cuts at most one fine relay per row, which is 1/4800.
     np.testing.assert_allclose(history(it, inputs)[0], expected, atol=2e-4)
     assert np.ptp(expected) > 1
 
@@ -82,20 +82,20 @@ def test_a_larger_extreme_wipes_out_what_was_before():
     _, quiet = history(it, path([0, -0.9, 0.8]))
     _, busy = history(it, path([0, -0.9, 0.3, -0.4, 0.2, -0.1, 0.6, -0.7, 0.8]))
     np.testing.assert_array_equal(quiet, busy)
-    # Without the larger extreme at the end it is remembered.
+    # Without the larger extreme at the end, it is remembered.
     _, kept = history(it, path([0, -0.9, 0.3, -0.4, 0.2]))
     _, other = history(it, path([0, -0.9, 0.2]))
     assert float(jnp.max(jnp.abs(kept - other))) > 0.01
 
 
 def test_minor_loops_return_to_where_they_began():
-    """Return-point memory, on loops within loops."""
+    """Return-point memory for nested loops."""
     it = operator()
     turns = [0, 1.0, -0.6, 0.7, -0.3, 0.5, -0.1, 0.3, -0.1, 0.5, -0.3, 0.7, -0.6, 1.0]
     outputs = np.asarray(history(it, path(turns, 30))[0])[::29]
     for inner in range(1, 7):
         assert outputs[inner] == pytest.approx(outputs[-inner], abs=1e-14)
-    # Every level is another output: none of these is trivial.
+    # Every level gives another output, so the equalities are not trivial.
     assert len(set(np.round(outputs[:8], 6))) == 8
 
 
@@ -111,12 +111,12 @@ def test_loops_between_the_same_inputs_are_congruent():
     below = loop_between(it, [-1.1])
     np.testing.assert_allclose(above - above[0], below - below[0], atol=1e-14)
     assert above[0] - below[0] > 0.05
-    # Which a curve behind the operator would break.
+    # A non-linear curve after the operator violates congruency.
     assert np.max(np.abs((above**2 - above[0] ** 2) - (below**2 - below[0] ** 2))) > 1e-3
 
 
 def test_a_density_without_centre_is_a_prandtl_ishlinskii_operator():
-    """Relays of equal density along s are plays."""
+    """Relays with a constant density along s form plays."""
     it = operator(rows=20, bias=0.0, interaction=1e6, saturation=1.0)
     weights = np.asarray(it.cells())
     r = np.asarray(it.half_widths)
@@ -155,7 +155,7 @@ def test_derivatives_against_differences():
 
 
 def test_the_output_is_continuous_in_the_input():
-    """Exact memory is not a staircase: a small change of the input is a small change."""
+    """The exact memory is not a staircase: a small change of the input has a small effect."""
     it = operator()
     fine = jnp.linspace(0.0, 1.1, 20_001)
     assert float(jnp.max(jnp.abs(jnp.diff(history(it, fine)[0])))) < 4 * 1.1 / 20_000

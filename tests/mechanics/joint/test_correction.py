@@ -1,4 +1,4 @@
-"""Alpha and beta: the continuous reading, the printed one, and the blend."""
+"""Alpha and beta: the continuous reading, the printed reading, and the blend."""
 
 import jax
 import jax.numpy as jnp
@@ -41,9 +41,9 @@ def test_the_printed_beta_jumps_and_makes_the_muscle_push():
     before, after = at(printed, [-20.0000001, -19.9999999], False)
     assert before == pytest.approx(-0.3, rel=1e-6)
     assert after == 0
-    # The balanced torque is 0.3 + beta = -0.9 N m.
+    # The balance torque is 0.3 + beta = -0.9 N m.
     assert 0.3 + at(printed, [-60.0], False)[0] == pytest.approx(-0.9, abs=1e-12)
-    # At 0 both readings agree, and alpha is the same in both.
+    # At 0, both readings agree, and alpha is the same for both.
     assert at(printed, [0.0], False) == at(Correction(), [0.0], False)
     degrees = np.linspace(0, 60, 61)
     assert np.all(at(printed, degrees, True) == at(Correction(), degrees, True))
@@ -70,9 +70,9 @@ def test_a_blend_joins_values_and_slopes():
 
     values, slopes = jax.vmap(jax.value_and_grad(value))(jnp.asarray(fine))
     assert np.max(np.abs(np.diff(values))) < 2e-5
-    # The slope is continuous too (the wedge of beta ends at 2 deg, inside).
+    # The slope is continuous, too (the wedge of beta ends at 2 deg, inside the blend).
     assert np.max(np.abs(np.diff(slopes))) < 2e-3
-    # The side does not matter within the blend.
+    # Within the blend, the result does not depend on the side.
     assert at(blended, [0.0], True) == at(blended, [0.0], False)
 
 

@@ -1,4 +1,4 @@
-"""Two pressures and the angles at which they hold a joint: by the solver and by a dense scan."""
+"""Equilibrium angles of a joint for two pressures: the solver compared with a dense scan."""
 
 from functools import partial
 
@@ -34,7 +34,7 @@ torque = eqx.filter_jit(net_torque)
 
 
 def scan(pair, pressures, load, count=40_001):
-    """Net torque on a dense grid of each side of 0, by the formula alone."""
+    """Return the net torque on a dense grid on each side of 0, from the formula alone."""
     sizes = np.deg2rad(np.linspace(0, 60, count))
     for ahead in (False, True):
         angle = jnp.asarray(sizes if ahead else -sizes[::-1])
@@ -43,7 +43,7 @@ def scan(pair, pressures, load, count=40_001):
 
 
 def crossings(pair, pressures, load=LOAD):
-    """Angles between which the torque changes its sign, and the sign of its slope there."""
+    """Return intervals in which the torque changes its sign, and the sign of its slope there."""
     found = []
     ends = []
     for angle, values in scan(pair, pressures, load):
@@ -64,7 +64,7 @@ def test_a_dense_scan_confirms_every_equilibrium(name):
     several = 0
     for case in range(20):
         pressures = jnp.asarray(random.uniform(0.3 * top, top, 2))
-        if case >= 8:  # nearly equal pressures, where there are several
+        if case >= 8:  # nearly equal pressures, which give several equilibria
             pressures = jnp.asarray(pressures[0] * (1 + random.uniform(-0.1, 0.1, 2)))
         load = jnp.asarray(random.choice([0.0, 0.0, random.normal(scale=0.1)]))
         found = equilibria(pair, pressures, load)
@@ -84,7 +84,7 @@ def test_a_dense_scan_confirms_every_equilibrium(name):
 @pytest.mark.parametrize("name", ["corrected", "printed", "empirical"])
 @pytest.mark.slow
 def test_an_angle_gives_pressures_that_give_the_angle_back(name):
-    """To 1e-9 rad wherever it is stable; where it is not, the solver lists it as unstable."""
+    """Within 1e-9 rad for stable angles; unstable ones are listed as unstable by the solver."""
     pair = PAIRS[name]
     stable = unstable = 0
     worst = 0.0
@@ -120,7 +120,7 @@ def test_with_a_load_and_another_cocontraction():
         command = pair_command(pair, angle, load=load, cocontraction=0.4)
         found = equilibria(pair, command.pressures, load)
         assert np.min(np.abs(found.angles - angle)) < 1e-9
-        # Without the load the joint goes elsewhere.
+        # Without the load, the equilibrium differs.
         assert np.min(np.abs(equilibria(pair, command.pressures).angles - angle)) > 0.01
 
 
@@ -135,7 +135,7 @@ def test_the_controller_shares_out_the_torque():
 
 @pytest.mark.slow
 def test_the_pair_is_bistable_about_0():
-    """The figures of the design: a request of 20 deg without corrections, and the stiffness."""
+    """The design's figures: a request of 20 deg without corrections, and the stiffness."""
     pressures = pair_command(PLAIN, np.deg2rad(20.0)).pressures
     found = equilibria(PLAIN, pressures).every
     np.testing.assert_allclose(
@@ -152,7 +152,7 @@ def test_the_pair_is_bistable_about_0():
                 if abs(e.angle - np.deg2rad(degrees)) < 1e-9
             )
             assert 0.29 < item.muscle_stiffness < 0.71
-    # In the whole straight window no request is held.
+    # Within the straight window, no requested angle is stable.
     for degrees in (-3.5, -1.0, 1.0, 3.5):
         command = pair_command(PLAIN, np.deg2rad(degrees))
         (item,) = (
@@ -165,13 +165,13 @@ def test_the_pair_is_bistable_about_0():
 
 @pytest.mark.slow
 def test_0_itself():
-    # Without corrections 0 is one unstable equilibrium between two stable ones that mirror.
+    # Without corrections, 0 is an unstable equilibrium between two symmetric stable ones.
     found = equilibria(PLAIN, [26e3, 26e3]).every
     assert len(found) == 3
     assert found[1].angle == 0
     assert not found[1].stable
     assert found[0].angle == pytest.approx(-found[2].angle, abs=1e-12)
-    # With them the step of alpha(0) - beta(0) holds the joint, as dry friction would.
+    # With corrections, the step of alpha(0) - beta(0) holds the joint like dry friction.
     found = equilibria(JointPair(), [26e3, 26e3]).every
     middle = found[len(found) // 2]
     assert middle.angle == 0
@@ -179,7 +179,7 @@ def test_0_itself():
     assert middle.stable
     assert middle.stiffness == np.inf
     assert middle.muscle_stiffness < 0
-    # At one end of the step the other side decides.
+    # At one end of the step, the other side determines the result.
     command = pair_command(JointPair(), 0.0)
     at_zero = [e for e in equilibria(JointPair(), command.pressures).every if e.angle == 0]
     assert [e.stable for e in at_zero] == [False]
@@ -208,7 +208,7 @@ def test_the_jumps_of_the_printed_beta_are_no_smooth_roots(degrees, offset, fall
     assert item.stable == falls
     assert item.stiffness == (np.inf if falls else -np.inf)
     assert np.isfinite(item.muscle_stiffness)
-    # The continuous reading has no jump there.
+    # The continuous reading has no jump at 0.
     other = JointPair()
     level = float(torque(other, pressures, LOAD, angle, ahead)[0])
     (item,) = (
@@ -257,13 +257,13 @@ def test_the_spring_and_its_derivatives():
                 for s in (1, -1)
             )
             np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), rtol=1e-5)
-    # A load of 1 N m turns it by 1 / stiffness.
+    # A load of 1 N m changes the angle by 1 / stiffness.
     assert float(by_load[0]) == pytest.approx(-1 / float(outputs(*point)[1]), rel=1e-9)
 
 
 @pytest.mark.slow
 def test_the_spring_feeds_a_joint_of_the_arm():
-    """III.A: a spring whose constant and initial length change. One link, held by a pair."""
+    """III.A: a spring with variable constant and initial length; one link, held by a pair."""
     pair, angle = JointPair(), np.deg2rad(30.0)
     spring = joint_spring(pair, pair_command(pair, angle).pressures, angle)
     stiff = {"joints.pitch_stiffness": spring.stiffness, "joints.damping": 0.2}
@@ -301,7 +301,7 @@ def test_what_a_muscle_cannot_do_is_said():
 
 @pytest.mark.slow
 def test_two_near_roots_are_both_found():
-    """A load that almost lifts the torque off its lowest point: both roots lie in one interval."""
+    """With a load near the minimum of the torque, both roots lie in one interval."""
     pair = JointPair(Joint(correction=Correction(blend=np.deg2rad(2))))
     pressures = jnp.asarray([26e3, 26e3])
     angle = jnp.deg2rad(jnp.linspace(0.3, 1.0, 70_001))

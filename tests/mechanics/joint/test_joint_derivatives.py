@@ -9,7 +9,7 @@ import giajax
 from giajax.mechanics.joint import Correction, Joint, branch_angles, muscle_state
 
 OUTPUTS = ("contraction", "force", "wire_tension", "push_x", "push_y")
-# Where the corrections bend, in deg; the branch points are added.
+# Angles at which the corrections have corners, deg; the branch points are added.
 KINKS = [-20.0, -2.0, 0.0, 40.0]
 STEP = 1e-6
 
@@ -47,7 +47,7 @@ def test_one_sided_slopes_at_the_branch_points_and_at_0(kink):
     at = np.deg2rad(kink) if at is None else at
     assert np.all(np.isfinite(by_angle(joint, at)))
     for sign in (1, -1):
-        # Second order, from points of one side only.
+        # Second-order differences from points on one side only.
         start = at + sign * 1e-9
         values = [outputs(joint, start + sign * d * STEP) for d in range(3)]
         slope = sign * (-3 * values[0] + 4 * values[1] - values[2]) / (2 * STEP)

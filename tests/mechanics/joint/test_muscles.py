@@ -1,4 +1,4 @@
-"""Muscle laws: limits, the textbook's statics, and the pressure for a force."""
+"""Muscle laws: limits, textbook statics, and the pressure for a given force."""
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ IDEAL = BraidedMuscle(end_correction=1.0, effectiveness=1.0, dead_band=0.0)
 
 
 def test_the_ideal_braided_law_is_virtual_work_of_its_gas():
-    """F = -p dV/dL for a cylinder of inextensible threads that turn n times around it."""
+    """F = -p dV/dL for a cylinder of inextensible threads with n turns around it."""
     length, diameter, angle = 0.2, float(IDEAL.diameter), float(IDEAL.braid_angle)
     thread, turns = length / np.cos(angle), length * np.tan(angle) / (np.pi * diameter)
 
@@ -43,7 +43,7 @@ def test_thin_muscles_contract_less_than_the_ideal_law_says():
     assert 1.6 <= ideal / thin <= 2.0
     assert float(muscle_force(BraidedMuscle(), 300e3, thin * 0.999)) > 0
     assert float(muscle_force(BraidedMuscle(), 300e3, thin * 1.001)) == 0
-    # The square of the law grows again beyond 1 / k; a muscle does not.
+    # The quadratic law increases again beyond 1 / k, but the force of a muscle must not.
     assert float(muscle_force(BraidedMuscle(end_correction=2.0), 300e3, 0.95)) == 0
 
 
@@ -55,7 +55,7 @@ def test_the_dead_band_has_no_force():
 
 
 def test_the_pressures_of_the_design():
-    """A resting diameter of 3.5 mm, without dead band: 0 to 101 kPa over the joint's range."""
+    """With a resting diameter of 3.5 mm and no dead band: 0 to 101 kPa over the joint's range."""
     state = muscle_state(Joint(), np.deg2rad(np.linspace(-60, 60, 241)))
     answer = muscle_pressure(NO_DEAD_BAND, state.force, state.contraction)
     assert bool(jnp.all(answer.reached))
@@ -71,7 +71,7 @@ def test_the_empirical_shape_is_tied_at_its_corners():
     assert float(muscle.signed_force(*map(jnp.asarray, (limit, largest, 1.96)))) == pytest.approx(
         0, abs=1e-14
     )
-    # A longer muscle pulls more, up to force_limit; without pressure none pulls.
+    # A longer muscle has a larger force, up to force_limit. Without pressure, the force is zero.
     forces = [float(muscle.largest_force(jnp.asarray(l))) for l in (0.005, 0.02, 0.2, 2.0, 1e9)]  # noqa: E741
     assert forces[0] == 0
     assert np.all(np.diff(forces) > 0)
@@ -113,7 +113,7 @@ def test_a_contraction_beyond_reach():
     far = muscle_pressure(BraidedMuscle(), 1.0, 0.35)
     assert int(far.code) == 3
     assert float(far.force) == 0
-    # No force at such a contraction is easy: no pressure.
+    # At this contraction, no force requires no pressure.
     idle = muscle_pressure(BraidedMuscle(), 0.0, 0.35)
     assert bool(idle.reached)
     assert float(idle.pressure) == 0
@@ -133,7 +133,7 @@ def test_the_law_can_be_differentiated(muscle):
         assert slope == pytest.approx(difference, rel=1e-5, abs=1e-9), path
     for slope in jax.grad(lambda p, e: muscle_force(muscle, p, e), (0, 1))(150e3, 0.1):
         assert np.isfinite(slope)
-    # Also without pressure, where it is at rest.
+    # This includes zero pressure, where the muscle is slack.
     assert np.isfinite(jax.grad(lambda p: muscle_force(muscle, p, 0.1))(0.0))
 
 
@@ -163,5 +163,5 @@ def test_a_muscle_that_pulls_more_than_asked_without_pressure_says_so(muscle, fo
     least = float(answer.force)
     assert float(answer.pressure) == 0
     assert least == float(muscle_force(muscle, 0.0, contraction)) > 2 * force - 1e-9
-    # What it has without pressure, and anything above, is reached.
+    # The force without pressure and larger ones can be reached.
     assert muscle_pressure(muscle, [least, least + 1], contraction).reached.tolist() == [True, True]

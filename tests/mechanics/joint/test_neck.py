@@ -1,4 +1,4 @@
-"""A joint whose neck of film is bent and pressed together by both muscles."""
+"""A joint with a film neck, which both muscles bend and compress."""
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ def balance(pair, degrees, angle):
 
 
 def test_muscles_press_by_what_crosses_the_bisector():
-    """Of an inner muscle with a taut wire: of its force and of the wire, what is along the link."""
+    """For an inner muscle with a taut wire: the components along the link of force and wire."""
     command = pair_command(HINGE, TARGET)
     inner, outer = command.first, command.second
     x = 0.9 * np.cos(TARGET / 2) - 0.18 * np.sin(TARGET / 2)
@@ -59,13 +59,13 @@ def test_a_hinge_has_no_neck_and_a_neck_takes_its_moment():
 
 
 def test_where_a_joint_with_a_neck_rests():
-    """It stays straight for what bends the hinge, and every angle listed is balanced."""
+    """It stays straight under loads that bend the hinge, and every listed angle is balanced."""
     bent = equilibria(HINGE, pressures(12.0)).stable
     assert [round(float(np.rad2deg(e.angle))) for e in bent] == [-14, 0, 12]
     straight = equilibria(PAIR, pressures(12.0))
     rests = np.abs([np.rad2deg(e.angle) for e in straight.stable])
     assert rests.min() < 0.6
-    # It is straight, or folded: at no angle at which the hinge rests.
+    # The joint is straight or folded, but not at the angles at which the hinge would rest.
     assert not np.any((rests > 0.6) & (rests < 20))
     folded = equilibria(PAIR, pressures(45.0))
     assert max(folded.angles) > np.deg2rad(40)
@@ -76,7 +76,7 @@ def test_where_a_joint_with_a_neck_rests():
 
 
 def test_the_rest_angle_has_its_slope_by_the_gas():
-    """Of the spring that the folded joint is, by the pressure in its neck."""
+    """The folded joint acts like a spring; the derivative is with respect to its neck pressure."""
     near = max(equilibria(PAIR, pressures(45.0)).angles)
 
     def rest(p):
@@ -95,7 +95,7 @@ def test_a_crushed_neck_is_refused():
 
 
 def test_a_slow_history_goes_where_the_equilibria_are():
-    """From one side on: to the equilibrium of that side while there is one, and then it jumps."""
+    """It follows the equilibrium on its side as long as that exists, and then jumps."""
     degrees = np.concatenate([np.arange(40.0, -41, -4), np.arange(-40.0, 41, 4)])
     angles = np.deg2rad(np.linspace(-60, 60, 2401))
     torques = np.stack([balance(HINGE, d, angles) for d in degrees])
@@ -115,7 +115,7 @@ def test_a_slow_history_goes_where_the_equilibria_are():
 
 
 def test_friction_holds_a_joint_behind():
-    """Of a spring: within friction / stiffness of its command, on the side that it comes from."""
+    """A spring stays within friction / stiffness of its command, on the side of its approach."""
     angles = jnp.asarray(np.deg2rad(np.linspace(-60, 60, 241)))
     commands = np.deg2rad([10.0, 20.0, 18.0, 5.0])
     torques = jnp.asarray(0.5 * (commands[:, None] - np.asarray(angles)))
@@ -126,7 +126,7 @@ def test_friction_holds_a_joint_behind():
 
 
 def test_alpha_is_what_a_collapsed_neck_resists():
-    """The alpha of the paper, 0.03 N m whatever the angle, is a neck of 29 mm and 50 mm of film."""
+    """The paper's alpha of 0.03 N m at any angle is that of a neck of 29 mm with 50 mm of film."""
     forces = muscle_state(HINGE.joint, np.deg2rad([10.0, 20.0, 30.0, 40.0])).force
     angles = jnp.deg2rad(jnp.asarray([10.0, 20.0, 30.0, 40.0]))
     resisted = neck_moment(Neck(radius=0.029, length=0.05), angles, forces)

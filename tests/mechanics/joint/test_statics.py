@@ -1,4 +1,4 @@
-"""The paper's equations (2) to (11) as residuals, on points that numpy turns by itself."""
+"""The paper's equations (2) to (11) as residuals, for points that are rotated in NumPy."""
 
 import jax
 import jax.numpy as jnp
@@ -21,14 +21,14 @@ READINGS = ("continuous", "none")
 
 
 def turned(x, y, angle):
-    """A point of the right link in the frame of the bisector, 3D, shape (angle, 3)."""
+    """Return a point of the right link in the frame of the bisector, 3D, shape (angle, 3)."""
     half = angle / 2
     rotation = np.array([[np.cos(half), -np.sin(half)], [np.sin(half), np.cos(half)]])
     return np.stack([*np.einsum("ijk,j->ik", rotation, [x, y]), 0 * angle], axis=-1)
 
 
 class Points:
-    """The paper's letters, right half and mirror image, from the geometry's numbers."""
+    """The paper's points, right half and mirror image, from the dimensions of the geometry."""
 
     def __init__(self, geometry, angle):
         def point(name):
@@ -57,7 +57,7 @@ def on_bisector(y):
 
 
 def torque_residual(at, joint_torque):
-    """Relative to 0.3 N m."""
+    """Return the residual of the torque relative to 0.3 N m."""
     return np.abs(at[:, 2] - joint_torque) / 0.3
 
 
@@ -71,7 +71,7 @@ def joint(request):
 
 
 def state_on(joint, branch, degrees=DEGREES):
-    """State and points at the angles of one branch, as numpy arrays."""
+    """Return state and points at the angles of one branch, as NumPy arrays."""
     angle = np.deg2rad(degrees)
     state = muscle_state(joint, angle)
     chosen = np.asarray(state.branch) == branch
@@ -81,7 +81,7 @@ def state_on(joint, branch, degrees=DEGREES):
 
 
 def wanted_torque(joint, state):
-    """0.3 + alpha or 0.3 + beta by the formulae of the paper, in degrees."""
+    """Return 0.3 + alpha or 0.3 + beta by the paper's formulae, in degrees."""
     degrees = np.rad2deg(state.angle)
     if joint.correction.reading == "none":
         return np.full_like(degrees, 0.3)
@@ -99,11 +99,11 @@ def test_inner_taut_satisfies_equations_2_to_5(joint):
     H = on_bisector(state.path.height)
     muscle = state.force[:, None] * unit(at.C, H)
     tension = state.wire_tension[:, None] * unit(at.D, H)
-    # (2), (3), and that the bush lies outside the wire's ends.
+    # (2), (3), and the condition that the bush lies outside the ends of the wire.
     assert largest(norm(at.A - H) - (1 - state.contraction) * length / 2) < 1e-12 * length
     assert largest(norm(at.B - H) - wire / 2) < 1e-12 * length
     assert np.all(H[:, 1] > at.D[:, 1])
-    # (4): what is left of the two forces lies along AC.
+    # (4): the resultant of the two forces lies along AC.
     assert largest((muscle + tension)[:, 1:]) < 1e-12
     # (5)
     moment = np.cross(at.C, muscle) + np.cross(at.D, tension)
@@ -121,7 +121,7 @@ def test_inner_slack_satisfies_equations_2_and_6(joint):
     muscle = state.force[:, None] * unit(at.C, at.A)
     moment = np.cross(at.C, muscle)
     assert largest(torque_residual(moment, wanted_torque(joint, state))) < 1e-12
-    # (3) is an inequality here.
+    # Here, (3) is an inequality.
     assert np.all(norm(at.B - H) < wire / 2)
     np.testing.assert_allclose(state.path.wire_slack, wire - 2 * norm(at.B - H), atol=1e-15)
     assert np.all(state.wire_tension == 0)
@@ -134,7 +134,7 @@ def test_outer_straight_satisfies_equations_8_and_11(joint):
     assert largest(norm(at.M - O) - (1 - state.contraction) * length / 2) < 1e-12 * length
     moment = np.cross(at.N, state.force[:, None] * unit(at.N, at.M))
     assert largest(torque_residual(moment, wanted_torque(joint, state))) < 1e-12
-    assert np.all(at.N[:, 1] > at.Q[:, 1])  # the muscle is on +y here
+    assert np.all(at.N[:, 1] > at.Q[:, 1])  # here, the muscle is on the positive y side
     assert np.all(state.push_x == 0)
     assert np.all(state.push_y == 0)
 
@@ -152,7 +152,7 @@ def test_outer_wrapped_satisfies_equations_7_9_and_10(joint):
     moment = np.cross(at.N, muscle) + np.cross(at.Q, push)
     assert largest(torque_residual(moment, wanted_torque(joint, state))) < 1e-12
     assert np.all(at.N[:, 1] < at.Q[:, 1])
-    # The muscle presses the balloon inwards, and the wire has room.
+    # The muscle presses the balloon inwards, and the wire is slack.
     assert np.all(state.push_y <= 1e-12)
     assert np.all(norm(O - at.D) <= wire / 2)
     np.testing.assert_allclose(state.path.wire_slack, wire - 2 * norm(O - at.D), atol=1e-15)
@@ -162,7 +162,7 @@ def test_outer_wrapped_satisfies_equations_7_9_and_10(joint):
 @pytest.mark.parametrize("reading", READINGS)
 @pytest.mark.parametrize("side", ["inner", "outer"])
 def test_virtual_work(reading, side):
-    """F d(length)/d(angle) = -torque: the path alone, by autodiff, gives the lever."""
+    """F d(length)/d(angle) = -torque: autodiff of the path length gives the lever."""
     joint = Joint(correction=Correction(reading=reading))
     sign = 1 if side == "inner" else -1
     angle = jnp.deg2rad(jnp.asarray(np.linspace(0, sign * 60, 241)))
@@ -175,7 +175,7 @@ def test_virtual_work(reading, side):
 
     slope = jax.jvp(length, (angle,), (jnp.ones_like(angle),))[1]
     np.testing.assert_allclose(-state.force * slope, state.torque, rtol=0, atol=1e-9 * 0.3)
-    # The check can fail: the taut muscle is not on the lever of the straight one.
+    # The check can fail: the taut muscle does not have the lever of the straight one.
     if side == "inner":
         geometry, half = joint.geometry, angle / 2
         straight = geometry.anchor_x * jnp.sin(half) + geometry.anchor_y * jnp.cos(half)
@@ -203,7 +203,7 @@ def test_the_angles_at_which_the_branches_change():
     for angle in (taut, wrapped):
         ahead, behind = (muscle_path(geometry, jnp.asarray(angle + e)) for e in (1e-6, -1e-6))
         assert bool(ahead.engaged) != bool(behind.engaged)
-    # A muscle that lies below the shoulder is wrapped from the start.
+    # A muscle below the shoulder is wrapped from the start.
     low = JointGeometry(anchor_y=0.14)
     assert branch_angles(low)[1] == 0
     assert bool(muscle_path(low, jnp.asarray(-1e-3)).engaged)
@@ -224,7 +224,7 @@ def test_the_step_at_0_is_that_of_alpha_and_beta():
     inner, outer = (float(muscle_state(Joint(), 0.0, side=s).force) for s in ("inner", "outer"))
     assert inner / outer == pytest.approx(0.33 / 0.31, rel=1e-12)
     assert inner / outer - 1 == pytest.approx(0.065, abs=5e-4)
-    # Contraction does not know of the torque.
+    # The contraction does not depend on the torque.
     assert (
         muscle_state(Joint(), 0.0, side="inner").contraction
         == muscle_state(Joint(), 0.0, side="outer").contraction

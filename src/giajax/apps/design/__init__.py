@@ -1,4 +1,4 @@
-"""The next experiment: the command and the markers that tell most of chosen parameters."""
+"""Design of the next experiment: the most informative command and markers."""
 
 from ._experiment import (
     Design as Design,

@@ -1,4 +1,4 @@
-"""The next experiment: which command and which markers tell most of chosen parameters."""
+"""Design of the next experiment: the command and markers that are most informative."""
 
 import dataclasses
 import itertools
@@ -34,11 +34,11 @@ from ._search import (
 
 Informations = Float[np.ndarray, "body draw parameter parameter"]
 
-_ALL = 3000  # up to so many choices all are looked at
+_ALL = 3000  # Up to this number of choices, all of them are compared.
 
 
 def check_count(count: int, bodies: int) -> None:
-    """Refuse a number of markers that cannot be chosen."""
+    """Raise an error if this number of markers cannot be chosen from the bodies."""
     if not 1 <= count <= bodies:
         raise InputError(f"{count} markers are requested: give a number from 1 to {bodies}")
 
@@ -46,10 +46,11 @@ def check_count(count: int, bodies: int) -> None:
 def chosen_markers(
     error: Callable[[np.ndarray], float], informations: Informations, count: int
 ) -> tuple[int, ...]:
-    """Positions of the bodies to record, increasing, by an error to expect of their information.
+    """Return the positions of the bodies to record, in increasing order.
 
-    All choices are compared where they are few; else one is added after the other, each the one
-    that helps most, and then exchanged as long as that helps (Fedorov).
+    The choice minimises `error`, a function of the information of the recorded bodies. All choices
+    are compared if they are few. Otherwise bodies are added one by one, each time the best one, and
+    are then exchanged as long as an exchange reduces the error (Fedorov).
     """
     bodies = len(informations)
     check_count(count, bodies)
@@ -78,13 +79,13 @@ _OVER = ("mean", "worst")
 
 @dataclasses.dataclass
 class RobustError:
-    """Logarithm of the error to expect: its mean over draws, or the worst of them.
+    """Logarithm of the expected error: its mean over the draws, or its largest value.
 
     Attributes:
-        draws: values of the parameters that may be true, SI.
-        known: information that priors are, in the scales of the experiment.
+        draws: possible values of the parameters, SI.
+        known: information matrix of the priors, in the scales of the experiment.
         over: "mean" or "worst".
-        markers: positions of the bodies that are recorded at present.
+        markers: positions of the bodies that are currently recorded.
     """
 
     experiment: Experiment
@@ -101,18 +102,18 @@ class RobustError:
         check_count(self.count, 1 + max(self.experiment.bodies))
         if self.over not in _OVER:
             raise InputError(
-                f"'{self.over}' is not a valid value of robust: use one of: {', '.join(_OVER)}"
+                f"'{self.over}' is not a valid value of robust: use one of {', '.join(_OVER)}"
             )
 
     def __call__(self, numbers: Numbers) -> float:
-        """The logarithm; NaN where a draw cannot be simulated."""
+        """Return the logarithm of the expected error; NaN if a draw cannot be simulated."""
         found = self._informed(numbers)
         if not np.all(found.successful):
             return np.nan
         return self._over_draws(found.values[:, list(self.markers)].sum(axis=1))
 
     def slope(self, numbers: Numbers) -> Float[np.ndarray, " number"]:
-        """Its derivatives by the numbers; NaN where a draw cannot be simulated."""
+        """Return its gradient; NaN if a draw cannot be simulated."""
         found = self._informed(numbers)
         if not np.all(found.successful):
             return np.full(len(numbers), np.nan)
@@ -122,7 +123,7 @@ class RobustError:
         if self.over == "worst":
             worst = int(np.argmax([value for value, _ in each]))
             some = slice(worst, worst + 1)
-        # Of a criterion of few parameters this matrix has but as many values that are not 0.
+        # For a criterion of few parameters this matrix has low rank: a few directions suffice.
         factors, directions = np.linalg.eigh([by_information for _, by_information in each[some]])
         most = np.argsort(-np.abs(factors), axis=1)[:, : self.criterion.rank]
         along = slopes(
@@ -136,14 +137,14 @@ class RobustError:
         return along.mean(axis=0)
 
     def leave_out_failing(self, numbers: Numbers) -> None:
-        """Leave out the draws with which a command cannot be simulated; the first one stays."""
+        """Drop the draws for which a command cannot be simulated; the first one is kept."""
         successful = np.asarray(self._informed(numbers).successful).astype(bool).ravel()
         if not np.all(successful[1:]):
             self.draws = self.draws[[True, *successful[1:]]]
             self._seen = None
 
     def choose(self, numbers: Numbers) -> None:
-        """Change to the bodies that tell most of a command."""
+        """Select the bodies that are most informative for a command."""
         found = self._informed(numbers)
         if np.all(found.successful):
             self.markers = self.chosen(found.values)
@@ -153,11 +154,11 @@ class RobustError:
     def chosen(
         self, informations: Float[np.ndarray, "draw body parameter parameter"]
     ) -> tuple[int, ...]:
-        """The bodies that tell most."""
+        """Return the most informative bodies."""
         return chosen_markers(self._over_draws, informations.swapaxes(0, 1), self.count)
 
     def each(self, numbers: Numbers) -> np.ndarray:
-        """Logarithm of the error of each draw, shape (draw,)."""
+        """Return the logarithm of the error of each draw, shape (draw,)."""
         informations = self._informed(numbers).values[:, list(self.markers)].sum(axis=1)
         return np.asarray([self._error(one)[0] for one in informations])
 
@@ -177,18 +178,19 @@ class RobustError:
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """An experiment that was not made yet, and the errors to expect of it.
+    """A planned experiment and its expected errors.
 
     Attributes:
-        run: what will be commanded, and when rows are recorded, without recorded values.
+        run: commands and sample times of the experiment, without recorded values.
         drive: the corners of the command.
         markers, channels: bodies that are filmed (`link06`), and their channels.
-        errors: standard errors by path, in the unit of the parameter; infinite where the
-            experiment does not determine one.
-        criterion: error that the criterion is about; that of one parameter in its unit. None where
-            the experiment does not determine it, to a hundred times the value at least.
-        times: of the samples, s.
-        predicted: all candidates by name as the model predicts them, SI.
+        errors: standard error of each parameter by path, in the unit of the parameter; infinite if
+            the experiment does not determine the parameter.
+        criterion: expected error according to the criterion. For a single parameter it is in the
+            unit of that parameter. None if the experiment does not determine it even to within a
+            hundred times the value.
+        times: times of the samples, s.
+        predicted: predicted values of all candidate channels by name, SI.
     """
 
     run: Run
@@ -203,20 +205,20 @@ class Expected:
 
 @dataclasses.dataclass(frozen=True)
 class Design:
-    """The experiment that was found, beside the paper's base step under the same limits.
+    """The optimal experiment, compared with the paper's base step under the same limits.
 
     Attributes:
         criterion: "c", "A" or "D".
         wanted: paths of the parameters of interest.
-        parameters: of all that a fit would have free: value and unit, by path.
-        noise: standard deviation of a cell, SI, by channel that may be recorded.
-        base_step: the paper's, with markers chosen for it.
-        before: standard errors by path of the result that the design began from; may be empty.
-        spread: smallest and largest criterion of the design over draws of what is uncertain, over
-            that of the present values.
-        draws: how many, without those with which the base step cannot be simulated.
-        status: "converged", "iteration limit" where the search for the best one ended there, or
-            "interrupted" with the best so far.
+        parameters: value and unit of each parameter that a fit would estimate, by path.
+        noise: standard deviation of one recorded value, SI, for each candidate channel.
+        base_step: the paper's base step, with the markers that are best for it.
+        before: standard errors by path of the fit that the design started from; may be empty.
+        spread: smallest and largest criterion of the design over the draws of the uncertain
+            parameters, each divided by the criterion at the current values.
+        draws: number of draws, without those for which the base step cannot be simulated.
+        status: "converged", "iteration limit" if the search for the best command ended at that
+            limit, or "interrupted" if the design is the best one before an interruption.
     """
 
     limits: Limits
@@ -235,13 +237,13 @@ class Design:
 
     @property
     def ratio(self) -> float | None:
-        """Error of the design over that of the base step, by the criterion; None without one."""
+        """Criterion of the design divided by that of the base step; None if either is missing."""
         if self.designed.criterion is None or self.base_step.criterion is None:
             return None
         return self.designed.criterion / self.base_step.criterion
 
     def summary(self) -> str:
-        """What the design comes to, in a clause."""
+        """Return the result of the design in one clause."""
         if self.ratio is not None:
             return f"{self.ratio:.3f} times the error of the base step"
         both = {"the design": self.designed, "the base step": self.base_step}
@@ -259,9 +261,9 @@ def expected(
     objective: RobustError,
     markers: tuple[int, ...] | None = None,
 ) -> Expected:
-    """What is to be expected of a command, which a run of that name has.
+    """Return the expected errors of a command; the run of the experiment gets the given name.
 
-    The bodies that are filmed are those of the markers, by default those that tell most.
+    The filmed bodies are `markers`. By default they are the most informative ones.
     """
     experiment = asked.experiment
     found = informed(experiment, command, asked.values[None])
@@ -289,7 +291,7 @@ def expected(
     )
 
 
-# Numbers of a command that a design has, unless the caller says how many.
+# By default a command has about `_NUMBERS` free values: `_FEWEST` to `_KNOTS` knots per joint.
 _KNOTS = 15
 _NUMBERS = 30
 _FEWEST = 4
@@ -317,38 +319,43 @@ def design_experiment(
     definition: Mapping[str, Any] | None = None,
     progress: Callable[[Evaluation], None] | None = None,
 ) -> Design:
-    """Find the command series, and the markers, that most lower standard errors to be expected.
+    """Find the command series and the markers that minimise the expected standard errors.
 
-    It stands beside the paper's base step under the same limits.
+    The result is compared with the paper's base step under the same limits.
 
     Arguments:
-        source: the arm at the present values of its parameters, or a fit of it. Of a fit, what was
-            free, priors, ties, noise and uncertainty are taken, unless they are given.
-        wanted: paths of the parameters of interest. For "c" one, or the weight of each in a linear
-            combination, in 1 over their units.
-        limits: what the command may do: the base joint to 30 deg at 30 deg/s in 25 s by default.
-        criterion: "c" (standard error of one), "A" (root of the trace of the covariance of all of
-            interest, each in its present value), or "D" (determinant).
-        free: paths that a fit of the experiment will have free, too.
-        channels: candidates to record, such as `link06_z`; the positions of all links by default.
-        markers: how many bodies (`link06`) may be filmed; all candidates by default.
+        source: the arm at the current values of its parameters, or a fit of it. A fit also
+            supplies the free parameters, priors, ties, noise and uncertainty that are not given.
+        wanted: paths of the parameters of interest. Criterion "c" takes one path, or the weight of
+            each parameter in a linear combination, in the reciprocal of its unit.
+        limits: limits of the command. The default moves the base joint by at most 30 deg at
+            30 deg/s in an experiment of 25 s.
+        criterion: "c" (standard error of one parameter or combination), "A" (root of the trace of
+            the covariance of all parameters of interest, each divided by its current value), or
+            "D" (determinant of that covariance).
+        free: paths of further parameters that a fit of the experiment will estimate.
+        channels: candidate channels to record, such as `link06_z`. The default is the positions of
+            all links.
+        markers: number of bodies (`link06`) that may be filmed. The default is all candidates.
         noise: standard deviation by quantity (`position`, `angle`) or channel, SI.
-        priors: what is known of parameters before (`giajax.Prior`), by path.
-        ties: parameters that follow from others (expressions), by path, as of `fit`.
-        uncertainty: standard deviation over the present value: of all that is free, or by path;
-            that of a fit, and 0.2 of what it does not tell.
-        over: "mean" of the logarithm of the error over draws of what is uncertain, or "worst".
-        draw_count: how many draws, the present values among them.
-        knots: of the command of each joint after its start.
-        starts: commands that are compared first.
-        follow: how many of them are followed.
-        iterations: of the optimiser, from each.
-        definition: what a sidecar of the experiment says, such as `{"initial": {"free": True}}`.
-        progress: called after each evaluation; may raise KeyboardInterrupt, which keeps the best.
+        priors: prior knowledge of parameters (`giajax.Prior`), by path.
+        ties: parameters that are expressions of other parameters, by path, as in `fit`.
+        uncertainty: standard deviation divided by the current value, for all free parameters or by
+            path. The default is the uncertainty of the fit, and 0.2 for parameters without one.
+        over: "mean" of the logarithm of the error over the draws of the uncertain parameters, or
+            "worst".
+        draw_count: number of draws, including the current values.
+        knots: number of knots of the command of each joint after its start.
+        starts: number of initial commands that are compared.
+        follow: number of initial commands from which the optimiser is started.
+        iterations: maximum number of iterations of the optimiser from each of them.
+        definition: contents of the sidecar of the experiment, e.g. `{"initial": {"free": True}}`.
+        progress: called after each evaluation. It may raise KeyboardInterrupt, which ends the
+            search with the best command so far.
 
     Raises:
-        InputError: an unknown path, joint, channel, criterion, or numbers that make no sense.
-        KeyboardInterrupt: before anything was evaluated.
+        InputError: an unknown path, joint, channel or criterion, or an invalid number.
+        KeyboardInterrupt: interrupted before the first evaluation.
 
     Example:
         >>> import giajax

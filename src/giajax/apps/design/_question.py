@@ -1,4 +1,4 @@
-"""What a design is asked, resolved once: the arm, what is free and wanted, noise and knowledge."""
+"""Problem statement of a design: the arm, free and wanted parameters, noise and priors."""
 
 import dataclasses
 import math
@@ -18,32 +18,34 @@ from ...studies import body_of, expected_errors
 from ..synthetic import Drive, sampled
 from ._search import Experiment, Limits, base_step
 
-# What makes one experiment better than another: c-, A- and D-optimality.
+# Criteria by which experiments are compared: c-, A- and D-optimality.
 #
-# Each is the logarithm of an error to expect, of the covariance C of all that is free, nuisances
-# too (Pukelsheim, Optimal Design of Experiments, chapters 3 and 6):
+# Each is the logarithm of an expected error, computed from the covariance C of all free
+# parameters, nuisance parameters included (Pukelsheim, Optimal Design of Experiments, chapters 3
+# and 6):
 #
 # - c: the standard error of one linear combination w^T p, the square root of w^T C w;
-# - A: the root of the trace of C over the parameters of interest, and not of its inverse;
+# - A: the root of the trace of C over the parameters of interest, not of the inverse of C;
 # - D: the geometric mean of their standard errors as if uncorrelated, det(C)^(1 / 2n).
 #
-# C counts each parameter in a scale of its own, its value by default; D does not depend on it.
+# C is the covariance of scaled parameters. The scale of each is its value by default. D does not
+# depend on the scales.
 
 _KINDS = ("c", "A", "D")
 
 Matrix = Float[np.ndarray, "parameter parameter"]
 
-# Without data a parameter is known to within so many times its scale: no matrix is singular, and
-# a parameter that nothing responds to weighs nothing on the others.
+# Each parameter has a weak prior whose standard deviation is this number of its scales. No matrix
+# is then singular, and a parameter to which no channel responds does not affect the others.
 _LOOSE = 100.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Criterion:
-    """The logarithm of an error to expect.
+    """The logarithm of an expected error.
 
-    The weights are, for "c", those of each parameter in the combination; for "A" and "D" that of
-    the parameters of interest is not 0.
+    For "c" the weights are the coefficients of the parameters in the linear combination. For "A"
+    and "D" the weights of the parameters of interest are nonzero.
     """
 
     kind: str
@@ -51,17 +53,17 @@ class Criterion:
 
     def __post_init__(self) -> None:
         if self.kind not in _KINDS:
-            raise InputError(f"'{self.kind}' is not a criterion: use one of: {', '.join(_KINDS)}")
+            raise InputError(f"'{self.kind}' is not a criterion: use one of {', '.join(_KINDS)}")
         if not any(self.weights):
             raise InputError("no parameter to estimate is given: give the path of at least one")
 
     @property
     def rank(self) -> int:
-        """In how many directions of the parameters information changes it, at most."""
+        """Largest number of parameter directions in which information changes the criterion."""
         return 1 if self.kind == "c" else int(np.count_nonzero(self.weights))
 
     def of(self, covariance: Matrix) -> tuple[float, Matrix]:
-        """Its value, and the derivative of that by the covariance."""
+        """Return the value of the criterion and its derivative with respect to the covariance."""
         weights = np.asarray(self.weights)
         slope = np.zeros_like(covariance)
         if self.kind == "c":
@@ -78,10 +80,10 @@ class Criterion:
         return each * float(np.linalg.slogdet(part)[1]), slope
 
     def is_determined(self, information: Matrix) -> bool:
-        """Whether the data tell all that it is of, and not only what is known without them."""
+        """Return whether the data, and not only the weak prior, determine the criterion."""
         some, weights = np.flatnonzero(self.weights), np.asarray(self.weights)
         if self.kind == "c":
-            # The combination takes the place of the parameter that has most of it.
+            # Replace the parameter with the largest weight by the combination.
             most = int(np.argmax(np.abs(weights)))
             turn = np.eye(len(weights))
             turn[most] = weights / weights[most]
@@ -90,26 +92,26 @@ class Criterion:
         return bool(np.all(expected_errors(information)[some] < _LOOSE))
 
     def of_information(self, information: Matrix) -> tuple[float, Matrix]:
-        """The same of the information, whose inverse the covariance is."""
+        """Return the value and its derivative with respect to the information matrix."""
         covariance = covariance_of(information)
         value, slope = self.of(covariance)
         return value, -covariance @ slope @ covariance
 
 
 def covariance_of(information: Matrix) -> Matrix:
-    """Covariance of scaled parameters, of which something is known without data, too."""
+    """Return the covariance of the scaled parameters, with the weak prior included."""
     whole = information + np.eye(len(information)) / _LOOSE**2
     sizes = np.sqrt(np.diag(whole))
     return np.asarray(np.linalg.inv(whole / np.outer(sizes, sizes)) / np.outer(sizes, sizes))
 
 
-# Standard deviation over the value of what is free, where no fit and no caller says it.
+# Relative standard deviation of a free parameter if neither a fit nor the caller gives one.
 _UNCERTAIN = 0.2
 
-# A normal deviate beyond this is drawn at it: a design need not bear what hardly happens.
+# Normal deviates are clipped here: a design need not allow for very unlikely values.
 _FURTHEST = 2.0
 
-# Logarithmic deviation of what is known badly: twice the value and half of it are as likely.
+# Largest standard deviation of the logarithm: a factor of two up or down.
 _MOST = math.log(2)
 
 
@@ -120,10 +122,11 @@ def draws(
     correlation: Float[np.ndarray, "parameter parameter"],
     count: int,
 ) -> Float[np.ndarray, "draw parameter"]:
-    """Values of the parameters that may be true, the first of which are the present ones (SI).
+    """Return possible values of the parameters, SI; the first draw is the current values.
 
-    What must be positive is log-normal, and within a factor of four. The others are normal; all
-    are points of a Sobol sequence. What has no deviation is known.
+    A parameter that must be positive is log-normal and stays within a factor of four. The others
+    are normal. All draws are points of a Sobol sequence. A parameter without a deviation is
+    constant.
     """
     if count < 1:
         raise InputError(f"the number of draws is {count}: give at least 1")
@@ -131,10 +134,10 @@ def draws(
     sizes = np.asarray([deviations.get(one.path, 0.0) for one in parameters])
     if count == 1 or not np.any(sizes):
         return found[:1]
-    # Slow to import, and only needed here.
+    # This import is slow and needed only here.
     from scipy.stats import norm, qmc
 
-    # The first two points of the sequence are a corner and the middle.
+    # Skip the first two points of the sequence, a corner and the centre.
     places = qmc.Sobol(len(parameters), scramble=False).fast_forward(2).random(count - 1)
     roots, turns = np.linalg.eigh(correlation)
     normal = norm.ppf(np.clip(places, 1e-6, 1 - 1e-6)) @ (turns * np.sqrt(np.maximum(roots, 0))).T
@@ -153,7 +156,7 @@ def draws(
 def known_before(
     result: FitResult | None, paths: Sequence[str]
 ) -> tuple[dict[str, float], Float[np.ndarray, "parameter parameter"]]:
-    """Standard errors of a result, SI, by path, and the correlation of some parameters."""
+    """Return the standard errors of a result (SI, by path) and the parameter correlation."""
     if result is None:
         return {}, np.eye(len(paths))
     errors = {
@@ -179,12 +182,12 @@ def uncertain(
     result: FitResult | None,
     values: Mapping[str, float],
 ) -> dict[str, float]:
-    """Standard deviations by path, SI: what the caller says, else a fit, else a fifth.
+    """Return standard deviations by path, SI: as given, else from a fit, else a fifth of the value.
 
-    What is stated is over the present value, of all that is free or by path.
+    `stated` is relative to the current value, either for all free parameters or by path.
     """
     if stated is None and result is not None:
-        # What a fit did not find is not known for that.
+        # A parameter without a standard error in the fit has the default uncertainty.
         return {path: errors.get(path, _UNCERTAIN * abs(value)) for path, value in values.items()}
     if isinstance(stated, Mapping):
         for path in stated:
@@ -203,28 +206,30 @@ def uncertain(
     return {path: size * abs(values[path]) for path, size in relative.items()}
 
 
-# Of positions (m) and of angles (rad, rad/s), where nobody states it: as `giajax sensitivity`.
+# Defaults for positions (m), pixels and angles (rad, rad/s), the same as in `giajax sensitivity`.
 _NOISE = 0.01
 _NOISE_PIXEL = 2.0
 _NOISE_ANGLE = math.radians(0.5)
 
-_TOLERANCE = 1e-6  # a tolerance at which derivatives are right to a percent, and quick
+_TOLERANCE = 1e-6  # At this tolerance derivatives are accurate to 1 % and still fast.
 
 
 @dataclasses.dataclass(frozen=True)
 class Question:
-    """What a design is asked.
+    """The problem that a design solves.
 
     Attributes:
-        parameters: what is free in a fit, with the bounds that each declares.
-        values, deviations: present ones, and what each is uncertain by, SI.
-        wanted: the weight of each parameter of interest, by path, in 1 over its unit.
+        parameters: free parameters of the fit, with their declared bounds.
+        values, deviations: current values and their standard deviations, SI.
+        wanted: weight of each parameter of interest, by path, in the reciprocal of its unit.
         weighted: whether the caller gave these weights.
-        known: information that priors are, in scales, with what is free in the run alone.
-        experiment: what is recorded of the arm, at the present values.
-        bodies, noise: names of what may be recorded, and the noise of a cell, SI, by channel.
-        before: standard errors of the fit that was given; may be empty.
-        definition: what the sidecar of the experiment says.
+        known: information matrix of the priors, for the scaled parameters and the quantities that
+            are free in this run only.
+        experiment: the arm and its channels at the current values.
+        bodies, noise: names of the bodies that may be recorded, and the standard deviation of one
+            recorded value by channel, SI.
+        before: standard errors of the given fit; may be empty.
+        definition: contents of the sidecar of the experiment.
     """
 
     limits: Limits
@@ -242,7 +247,7 @@ class Question:
     definition: dict[str, Any]
 
     def weights(self, criterion: str) -> tuple[float, ...]:
-        """Weights of all that is free, as `Criterion` takes them."""
+        """Return the weights of all free parameters in the form that `Criterion` takes."""
         if criterion == "c" and len(self.wanted) > 1 and not self.weighted:
             raise InputError(
                 f"criterion c needs one parameter, but {len(self.wanted)} are given: give one "
@@ -255,7 +260,7 @@ class Question:
         return (*(float(path in self.wanted) for path in self.experiment.paths), *own)
 
     def run_of(self, drive: Drive, name: str) -> Run:
-        """The experiment with a command, without recorded values."""
+        """Return the experiment with a command, without recorded values."""
         return _planned(self.limits, drive, self.experiment.channels, self.definition, name)
 
 
@@ -272,7 +277,7 @@ def question_of(
     uncertainty: float | Mapping[str, float] | None,
     definition: Mapping[str, Any] | None,
 ) -> Question:
-    """The arguments of `design_experiment`, checked and resolved; it raises what that raises."""
+    """Check and resolve the arguments of `design_experiment`; its errors are raised here."""
     result = source if isinstance(source, FitResult) else None
     model = _arm_of(source)
     if model.tolerance is None:
@@ -324,7 +329,7 @@ def question_of(
         may_have |= {path.partition("[")[0] for path in may_have}
         odd = next((path for path in before if path not in may_have), None)
         if odd is not None:
-            # Refused as no parameter, where it is none.
+            # If it is not a parameter at all, `elements` raises a more specific error.
             elements(model, odd)
             raise InputError(f"'{odd}' has a prior but is not free: free it, or remove the prior")
     counted = [*zip(parts, values, scales, strict=True), *((*one, 1.0) for one in beside)]
@@ -364,7 +369,7 @@ def question_of(
 
 
 def joint_count(source: AbstractModel | FitResult) -> int:
-    """How many joints an arm has, or that of a fit."""
+    """Return the number of joints of an arm, or of the arm of a fit."""
     return _arm_of(source).arm.count
 
 
@@ -378,7 +383,7 @@ def _arm_of(source: AbstractModel | FitResult) -> ArmModel:
 def _definition(
     model: ArmModel, result: FitResult | None, definition: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """What the sidecar says: the arm, how commands go on between rows, and what the caller adds."""
+    """Return the sidecar: the arm, the interpolation of commands, and the caller's additions."""
     known = {key: part for key, part in model.definition().items() if key in ARM.sections}
     fitted = () if result is None else result.runs
     if any(path.startswith("initial.") for run in fitted for path in run.parameters):
@@ -402,7 +407,7 @@ def _planned(
 
 
 def _noise(run: Run, channels: Sequence[str], result: FitResult | None) -> dict[str, float]:
-    """What is stated, else what a fit took for noise of such a quantity, else the usual; SI."""
+    """Return the noise by channel, SI: as given, else as in the fit, else a default."""
     fitted: dict[str, list[float]] = {}
     for record in () if result is None else result.runs:
         for name, one in record.channels.items():

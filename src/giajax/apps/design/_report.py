@@ -1,4 +1,4 @@
-"""A designed experiment as a picture, a table and plain data."""
+"""Figure, table and JSON text of a designed experiment."""
 
 import json
 import math
@@ -22,9 +22,9 @@ _MOST_NAMES = 12
 
 
 def design_rows(found: Design) -> list[tuple[Any, ...]]:
-    """Of each free parameter the standard errors to expect, those of interest first.
+    """Return one row per free parameter with its expected standard errors, those of interest first.
 
-    A row for each, as `DESIGN_HEADINGS` says; None where the result before has no error.
+    The columns are `DESIGN_HEADINGS`. A value is None if the previous fit has no error for it.
     """
     order = [*found.wanted, *(path for path in found.parameters if path not in found.wanted)]
     rows = []
@@ -38,7 +38,7 @@ def design_rows(found: Design) -> list[tuple[Any, ...]]:
 
 
 def design_json(found: Design) -> str:
-    """A design as JSON text."""
+    """Return a design as JSON text."""
     limits = found.limits
     smallest, largest = (None, None) if found.designed.criterion is None else found.spread
     facts: dict[str, Any] = {
@@ -79,7 +79,7 @@ def _expected_json(expected: Expected) -> dict[str, Any]:
 
 
 def design_figure(found: Design, title: str = "") -> Figure:
-    """The command, where the outermost marker goes, and the errors to expect."""
+    """Draw the command, the motion of the outermost marker, and the expected errors."""
     rows = min(len(found.parameters), _MOST_NAMES)
     figure = new_figure(10, max(4.6, 2.6 + 0.4 * rows), title or "The next experiment")
     grid = figure.add_gridspec(2, 2, width_ratios=[3, 2])
@@ -102,7 +102,7 @@ def _commands(axes: Axes, both: Sequence[Expected]) -> None:
 
 
 def _path(axes: Axes, both: Sequence[Expected]) -> None:
-    """The component of the last body that moves most, over time."""
+    """Draw the component of the last body that moves most, versus time."""
     last = body_of(list(both[0].predicted)[-1])
     names = [name for name in both[0].predicted if body_of(name) == last]
     most = max(names, key=lambda name: max(float(np.ptp(one.predicted[name])) for one in both))
@@ -113,7 +113,7 @@ def _path(axes: Axes, both: Sequence[Expected]) -> None:
 
 
 def _errors(axes: Axes, found: Design) -> None:
-    """Standard errors over the values, where both are finite."""
+    """Draw the standard errors divided by the values, where both are finite."""
     paths = [row[0] for row in design_rows(found)][:_MOST_NAMES]
     places = np.arange(len(paths))[::-1]
     missing: dict[int, list[str]] = {}
@@ -138,7 +138,7 @@ def _errors(axes: Axes, found: Design) -> None:
         words = f"not determined: {', '.join(labels)}"
         beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": INK, "ha": "right"}
         axes.annotate(words, (1, place), (0, 8), axes.get_yaxis_transform(), **beside)
-    # A logarithmic axis has no base that a bar could stand on: marks.
+    # Bars would need a baseline, which a logarithmic axis does not have: draw markers.
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(LogFormatter())
     axes.xaxis.set_minor_formatter(LogFormatter())

@@ -1,8 +1,8 @@
-"""The command series that lowers a criterion most: sequential quadratic programmes.
+"""Optimisation of the command series by sequential quadratic programming.
 
-The set of series within the limits is convex and its borders are linear, so that each iterate of
-SLSQP (Kraft 1988) is an experiment that may be made. Far from convex is what is minimised: several
-starts are looked at, and the best few of them followed.
+The set of series within the limits is convex and its constraints are linear. Each iterate of SLSQP
+(Kraft 1988) is therefore a feasible experiment. The objective is not convex: several initial
+commands are compared, and the optimiser is started from the best few.
 """
 
 import dataclasses
@@ -32,18 +32,18 @@ _MOST_ROWS = 100_000
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What the command of an experiment may do.
+    """Limits of the command of an experiment.
 
     Arguments:
-        joints: numbers of the joints that move (1 is the base joint); the others hold 0.
-        angle: largest size of a commanded angle, rad.
-        rate: largest size of its rate, rad/s.
-        duration: of the experiment, s.
-        sampling: rows that are recorded, per second.
+        joints: numbers of the joints that move (1 is the base joint); the others are held at 0.
+        angle: largest magnitude of a commanded angle, rad.
+        rate: largest magnitude of the rate of a commanded angle, rad/s.
+        duration: duration of the experiment, s.
+        sampling: number of recorded rows per second.
 
     Raises:
-        InputError: a number that is not positive or too large, no joint, or a duration of no whole
-            number of rows.
+        InputError: a number is not positive or too large, no joint is given, or the duration is not
+            a whole number of rows.
     """
 
     joints: tuple[int, ...] = (1,)
@@ -67,7 +67,7 @@ class Limits:
                 f"{ANGLE_DEG:g} deg"
             )
         if not self.joints:
-            raise InputError("no joint is to move: give the number of at least one joint")
+            raise InputError("no joint is given: give the number of at least one joint")
         if len(set(self.joints)) < len(self.joints):
             raise InputError("the same joint is given twice: give each joint number once")
         rows = self.duration * self.sampling
@@ -83,38 +83,38 @@ class Limits:
 
     @property
     def rows(self) -> int:
-        """Intervals between the rows of the experiment."""
+        """Number of intervals between the rows of the experiment."""
         return round(self.duration * self.sampling)
 
     def check_joints(self, count: int) -> None:
-        """Refuse joints that an arm of `count` joints does not have."""
+        """Raise an error for a joint that an arm of `count` joints does not have."""
         for joint in self.joints:
             if not 1 <= joint <= count:
                 raise InputError(
-                    f"joint {joint} is to move, but the arm has only joints 1 to {count}: correct "
+                    f"joint {joint} is given, but the arm has only joints 1 to {count}: correct "
                     "the number"
                 )
 
 
-# A command series as few numbers: angles at knots, between which each joint moves steadily.
+# A command series described by few numbers: angles at knots with linear interpolation.
 #
-# The numbers are angles over the largest angle. Angle and rate of such a series are largest at
-# its knots and between two of them, so that its limits are linear in the numbers: a convex set,
-# in which an optimiser for linear constraints stays. `within` is the projection that makes
-# rounding harmless.
+# The numbers are angles divided by the largest angle. The angle of such a series is extreme at a
+# knot, and its rate is constant between two knots. The limits are therefore linear in the numbers
+# and define a convex set, which an optimiser for linear constraints does not leave. The projection
+# `within` removes violations due to rounding.
 
-_ROUNDING = 1e-9  # what a decimal number in a file may add to an angle or a rate
-_LEAD = 0.5  # when the paper's base step begins, s
+_ROUNDING = 1e-9  # Margin for the rounding of decimal numbers in files, for angles and rates.
+_LEAD = 0.5  # Start of the paper's base step, s.
 
 Numbers = Float[np.ndarray, " number"]
 
 
 @dataclasses.dataclass(frozen=True)
 class CommandSeries:
-    """The command series that some limits allow, with knots at rows of the experiment.
+    """The command series that satisfy some limits, with knots at rows of the experiment.
 
     Attributes:
-        times: of the knots, the first of which is at 0 s, shape (knot,).
+        times: times of the knots, shape (knot,); the first one is 0 s.
     """
 
     limits: Limits
@@ -122,7 +122,7 @@ class CommandSeries:
 
     @classmethod
     def of(cls, limits: Limits, knots: int) -> "CommandSeries":
-        """Series of so many knots after the first one, as evenly spaced as rows allow."""
+        """Return the series with this number of knots after the first, about evenly spaced."""
         if not 2 <= knots <= limits.rows:
             raise InputError(
                 f"the command has {knots} knots, but the experiment has {limits.rows} intervals: "
@@ -133,11 +133,11 @@ class CommandSeries:
 
     @property
     def size(self) -> int:
-        """How many numbers a series is."""
+        """Number of values that describe one series."""
         return (len(self.times) - 1) * len(self.limits.joints)
 
     def within(self, numbers: Numbers) -> Numbers:
-        """The numbers of a series within the limits: each angle in turn as near as it may be."""
+        """Project onto the limits: each angle in turn takes the nearest admissible value."""
         reach = self._reach()
         wanted = np.asarray(numbers, dtype=float).reshape(len(reach), -1)
         angles = np.zeros_like(wanted)
@@ -148,24 +148,24 @@ class CommandSeries:
         return angles.ravel()
 
     def constraint(self) -> LinearConstraint:
-        """How far angles of successive knots may be apart; the angles themselves are in [-1, 1]."""
+        """Return the limits of the angle between successive knots; angles are within [-1, 1]."""
         joints = len(self.limits.joints)
         difference = np.eye(self.size) - np.eye(self.size, k=-joints)
         most = np.repeat(self._reach(), joints)
         return LinearConstraint(difference, -most, most)
 
     def base_step(self) -> Numbers:
-        """The paper's base step, as nearly as the knots allow."""
+        """Return the paper's base step, as closely as the knots permit."""
         wanted = base_step(self.limits, len(self.times))
         angles = [np.interp(self.times[1:], wanted.times, row) for row in wanted.table().T]
         return self.within(np.stack(angles, axis=1).ravel() / self.limits.angle)
 
     def at(self, numbers: Numbers) -> "Command":
-        """The series of some numbers."""
+        """Return the command that some numbers describe."""
         return Command(self.limits, self.times, np.asarray(numbers, dtype=float))
 
     def _reach(self) -> Float[np.ndarray, " knot"]:
-        """How far a joint comes from each knot to the next, over the largest angle."""
+        """Return the largest change from each knot to the next, divided by the largest angle."""
         limits = self.limits
         return (1 - _ROUNDING) * np.diff(self.times) * limits.rate / limits.angle
 
@@ -176,10 +176,10 @@ def knotted(
     moving: tuple[int, ...],
     count: int,
 ) -> Signal:
-    """The command through angles (rad) at all knots but the first, where they are 0.
+    """Return the command through angles (rad) at all knots but the first, where they are 0.
 
-    It may be differentiated by the angles. The joints that move are numbers from 1; `count` is how
-    many the arm has.
+    It is differentiable with respect to the angles. The moving joints are numbered from 1; `count`
+    is the number of joints of the arm.
     """
     places = np.asarray(moving) - 1
     values = jnp.zeros((len(times), count), angles.dtype).at[1:, places].set(angles)
@@ -189,10 +189,10 @@ def knotted(
 
 
 def base_step(limits: Limits, knots: int) -> "Command":
-    """The paper's experiment: one joint to the largest angle at the largest rate.
+    """Return the paper's experiment: one joint moves to the largest angle at the largest rate.
 
-    That is joint 1 if it may move, else the first that may. Knots beyond the three of its corners
-    come after the end, so that one program does for all commands.
+    The joint is joint 1 if it may move, else the first joint that may. Knots beyond the three
+    corners come after the end, so that all commands share one compiled program.
     """
     begin = min(_LEAD, 0.5 * limits.duration)
     corners = [0.0, begin, begin + limits.angle / limits.rate]
@@ -205,19 +205,19 @@ def base_step(limits: Limits, knots: int) -> "Command":
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """One command series: times of knots, s, and angles at all but the first over the largest."""
+    """One command series: times of the knots, s, and the angles divided by the largest angle."""
 
     limits: Limits
     times: Float[np.ndarray, " knot"]
     numbers: Numbers
 
     def table(self) -> Float[np.ndarray, "knot moved"]:
-        """Angles of the joints that move, rad."""
+        """Return the angles of the moving joints at the knots, rad."""
         table = np.asarray(self.numbers, dtype=float).reshape(len(self.times) - 1, -1)
         return np.concatenate([np.zeros((1, table.shape[1])), table]) * self.limits.angle
 
     def drive(self) -> Drive:
-        """The same as rows, by the channel of each joint that does move."""
+        """Return the command as rows, by the channel of each joint that moves."""
         columns = zip(self.limits.joints, self.table().T, strict=True)
         named = {f"joint{joint:02d}_command": row for joint, row in columns}
         moving = {name: row for name, row in named.items() if np.any(row)} or named
@@ -227,31 +227,32 @@ class Command:
         return Drive(self.times[:last], rows, "linear")
 
 
-# What each body of an experiment tells, and how that changes with the command.
+# Information of each body of an experiment, and its derivative with respect to the command.
 #
-# The information is the sum of J^T J over the channels of a body, J the derivatives of its
-# channels over their noise by the scaled parameters. A criterion has few directions of the
-# parameters in which information changes it (one, where it is of one parameter), and derivatives
-# by the numbers of the command are those of the channels along these alone. Both are forward, one
-# within the other: no reverse pass through a solver of adaptive steps, and exact to its tolerance.
+# The information is the sum of J^T J over the channels of a body. J contains the derivatives of the
+# channels, divided by their noise, with respect to the scaled parameters. Information changes a
+# criterion only in few directions of the parameters (in one, for a single parameter). The
+# derivatives with respect to the command are therefore needed along these directions only. Both
+# differentiations are in forward mode, one inside the other: there is no reverse pass through an
+# adaptive solver, and the result is exact to the tolerance of the solver.
 
-# Paths that a command disturbs an arm as: the model then takes the steps that this needs.
+# A command disturbs the arm like these paths: the model then chooses its step size for them.
 _DISTURBANCE = ("initial.angle",)
 
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """What is recorded of an arm, and what a fit of it would have free.
+    """The recorded channels of an arm and the free parameters of a fit.
 
     Attributes:
         model: the arm; its parameters are replaced.
-        inputs: a prepared run, whose command is replaced.
-        paths: scalar parameters of the model, free in the fit.
-        scales: what each is counted in, SI.
-        own: what is free in the run alone, by path, and how many numbers that is.
-        channels: all that may be recorded.
-        noise: of each channel, SI.
-        bodies: which body each channel is of.
+        inputs: a prepared run; its command is replaced.
+        paths: scalar parameters of the model that are free in the fit.
+        scales: scale of each parameter, SI.
+        own: path and number of values of each quantity that is free in this run only.
+        channels: all channels that may be recorded.
+        noise: standard deviation of the noise of each channel, SI.
+        bodies: index of the body of each channel.
     """
 
     model: ArmModel
@@ -268,7 +269,7 @@ class Experiment:
 
 @dataclasses.dataclass(frozen=True)
 class Informed:
-    """Information of each draw and body, and what is to be expected of the channels."""
+    """Information of each draw and body, and the predicted channels."""
 
     values: Float[np.ndarray, "draw body parameter parameter"]
     predicted: Float[np.ndarray, "draw sample channel"]
@@ -279,7 +280,7 @@ Draws = Float[np.ndarray, "draw parameter"]
 
 
 def informed(experiment: Experiment, command: Command, draws: Draws) -> Informed:
-    """The information of an experiment with a command; draws on all cores."""
+    """Return the information of an experiment with a command; draws run on all cores."""
     dtype = jnp.result_type(float)
     places = np.asarray(experiment.bodies)
     bodies = jnp.asarray(places[None, :] == np.arange(places.max() + 1)[:, None], dtype)
@@ -296,9 +297,9 @@ def slopes(
     factors: Float[np.ndarray, "draw direction"],
     bodies: Sequence[int],
 ) -> Float[np.ndarray, "draw number"]:
-    """Derivatives by the numbers of a command of the sum of f d^T I d, f the factors.
+    """Return the derivatives of the sum of f d^T I d with respect to the numbers of a command.
 
-    I is the information of some bodies, and d each of the directions.
+    I is the information of some bodies, d are the directions and f their factors.
     """
     dtype = jnp.result_type(float)
     counts = jnp.asarray(np.isin(experiment.bodies, bodies), dtype)
@@ -310,7 +311,7 @@ def slopes(
 
 
 def _shared(experiment: Experiment, command: Command) -> tuple[Any, ...]:
-    """What of an experiment and a command is the same for all draws."""
+    """Return the arguments that are the same for all draws."""
     dtype = jnp.result_type(float)
     arrays = (command.numbers, command.times, experiment.scales, 1 / experiment.noise)
     angle = jnp.asarray(command.limits.angle, dtype)
@@ -372,9 +373,10 @@ def _recorded(
     moving: tuple[tuple[int, ...], int],
     names: tuple[Any, ...],
 ) -> tuple[Callable[[Array, Array], tuple[Array, Array]], int]:
-    """All channels over their noise, and whether they were found, by what is free and a command.
+    """Return a function that predicts all channels divided by their noise, and its input size.
 
-    What is free is counted from a draw on, in the scales of the experiment: so many numbers.
+    The function takes the free quantities, relative to a draw and in the scales of the experiment,
+    and the numbers of a command. It also returns whether the simulation succeeded.
     """
     _, times, scales, weights, angle, inputs = arrays
     joints, count = moving
@@ -400,41 +402,43 @@ def _recorded(
 
 
 def _size(names: tuple[Any, ...]) -> int:
-    """How many numbers are free."""
+    """Return the number of free values."""
     paths, own, *_ = names
     return len(paths) + sum(each for _, each in own)
 
 
-_WORSE = 3.0  # what a command that cannot be simulated is worse by than the best one, in logarithms
-_CHOICES = 3  # how often markers are chosen again for what was found with others
-_LIMIT = 9  # what SLSQP returns at the iteration limit
+# A command that cannot be simulated gets the best value so far plus this, in logarithms.
+_WORSE = 3.0
+_CHOICES = 3  # How often the markers may be chosen again for the command that was found.
+_LIMIT = 9  # Status that SLSQP returns at the iteration limit.
 _SEED = 1
 
-_TOLERANCE = 1e-3  # change of the logarithm of the error below which a search has ended
+_TOLERANCE = 1e-3  # The search ends at a smaller change of the logarithm of the error.
 
 
 class Objective(Protocol):
-    """What is minimised over the numbers of a command, for some choice of markers."""
+    """The function of a command's numbers that is minimised, for some choice of markers."""
 
     markers: tuple[int, ...]
 
     def __call__(self, numbers: Numbers) -> float:
-        """The logarithm of the error; NaN where nothing can be simulated."""
+        """Return the logarithm of the error; NaN if a simulation fails."""
 
     def slope(self, numbers: Numbers) -> Float[np.ndarray, " number"]:
-        """Its gradient."""
+        """Return the gradient."""
 
     def choose(self, numbers: Numbers) -> None:
-        """Change to the markers that tell most of a command."""
+        """Select the markers that are most informative for a command."""
 
 
 class Evaluation(NamedTuple):
-    """What `progress` hears of.
+    """One evaluation of the objective, as passed to `progress`.
 
     Attributes:
-        number: of the evaluation, from 1.
-        start: number of the start that is followed, from 1; 0 while starts are compared.
-        value: logarithm of the error to expect.
+        number: number of the evaluation, from 1.
+        start: number of the initial command of the descent, from 1; 0 while these are compared.
+        value: logarithm of the expected error.
+        best: smallest value so far.
     """
 
     number: int
@@ -445,13 +449,13 @@ class Evaluation(NamedTuple):
 
 @dataclasses.dataclass
 class Search:
-    """A search that can be interrupted, and then has the best so far.
+    """A search that keeps the best command so far if it is interrupted.
 
     Attributes:
-        progress: hears of each evaluation; may raise KeyboardInterrupt.
+        progress: called after each evaluation; may raise KeyboardInterrupt.
         best: numbers of the best command so far; None before the first evaluation.
-        markers, value: of that command.
-        status: "iteration limit" where the descent to the best one ended there.
+        markers, value: markers of that command and the value of its objective.
+        status: "iteration limit" if the descent to the best command ended at that limit.
     """
 
     objective: Objective
@@ -465,7 +469,10 @@ class Search:
     _start: int = 0
 
     def follow(self, starts: Sequence[Numbers], most: int, iterations: int) -> None:
-        """Look at all starts, and follow the `most` best ones; before any, Ctrl-C is passed on."""
+        """Evaluate all initial commands and descend from the `most` best ones.
+
+        Ctrl-C before the first evaluation is passed on.
+        """
         try:
             values = []
             for start in starts:
@@ -482,11 +489,11 @@ class Search:
             self.status = "interrupted"
 
     def _descend(self, numbers: Numbers, iterations: int) -> None:
-        # Slow to import, and only needed here.
+        # This import is slow and needed only here.
         from scipy.optimize import minimize
 
         chosen = None
-        # Once more where other markers tell more of what was found.
+        # Repeat if other markers are more informative for the command that was found.
         for _ in range(_CHOICES):
             self.objective.choose(numbers)
             if self.objective.markers == chosen:
@@ -515,7 +522,7 @@ class Search:
         return slope if np.all(np.isfinite(slope)) else np.zeros_like(numbers)
 
     def _evaluate(self, numbers: Numbers) -> float:
-        # What rounding moved beyond a limit is put back.
+        # Correct violations of a limit that are due to rounding.
         numbers = self.series.within(numbers)
         value = self.objective(numbers)
         if value < self.value:
@@ -528,14 +535,14 @@ class Search:
 
 
 def starts_of(series: CommandSeries, count: int) -> list[Numbers]:
-    """Commands to begin from: the paper's base step, swings to and fro, and random ones.
+    """Return initial commands: the paper's base step, two oscillations, and random commands.
 
-    Half of the angles of a random one are at a limit, as those of good experiments are. They are
-    the same ones each time.
+    Half of the angles of a random command are at a limit, as in good experiments. The random
+    commands are the same in each call.
     """
     base = series.base_step()
     knots, joints = len(series.times) - 1, len(series.limits.joints)
-    # A swing that is as wide as it may be, and takes a knot or two each way.
+    # Oscillations of the largest amplitude, with one or two knots in each direction.
     swings = [
         np.repeat(np.where(np.arange(knots) // turn % 2 == 0, 1.0, -1.0), joints) for turn in (1, 2)
     ]

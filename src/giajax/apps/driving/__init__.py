@@ -1,4 +1,4 @@
-"""An arm that a person drives: pad, sliders, a fixed step in time with a clock, and a record."""
+"""Drive a simulated arm in real time with a game pad or sliders, and record the drive."""
 
 from ._cockpit import (
     LATENCY as LATENCY,

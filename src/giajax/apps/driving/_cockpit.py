@@ -1,4 +1,4 @@
-"""The operator's page: a server for its messages, and the arm in the viewer's scene beside it."""
+"""Page of the operator: a server for its messages, and a view of the arm in 3D."""
 
 import json
 import threading
@@ -21,26 +21,26 @@ from ...runtime.text import InputError
 from ...simulation import at_rest
 from ..viewer import LOOPBACK, Gate, LiveStage, PrivateSocket
 from ._operator import NOT_YET
-from ._session import Pose, Session
+from ._session import Pose, Record, Session
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response
     from websockets.sync.server import ServerConnection
 
 LATENCY = 0.2
-"""Default latency of the picture that the operator sees, s."""
+"""Default latency of the camera picture, s."""
 
 
 class TipCamera:
-    """The view of a camera on the arm, as an operator has it: late (s), and rolling with the arm.
+    """View from a camera at the tip, delayed by a latency, s; it rotates with the last link.
 
-    The arm's camera at the tip is taken, if it has one.
+    The tip camera of the arm is used if there is one.
     """
 
     def __init__(self, model: ArmModel, latency: float = LATENCY) -> None:
         if not 0 <= latency <= 60:
             raise InputError(f"the latency is {latency:g} s: give a latency from 0 to 60 s")
-        # Where the arm has none: one that looks ahead from its end, 90 deg wide.
+        # Default camera: looks along the last link, with a horizontal angle of view of 90 deg.
         usual = Pinhole(
             position=jnp.zeros(3),
             rotation=jnp.zeros(3),
@@ -56,14 +56,16 @@ class TipCamera:
         self._views: deque[tuple[float, View]] = deque()
 
     def see(self, time: float, angles: Float[np.ndarray, " joint"]) -> View:
-        """What is shown at a time, s, in which the arm is at these angles, rad."""
+        """Record the angles at a time, s, and return the delayed view; angles in rad."""
+        if self._views and time < self._views[-1][0]:
+            self._views.clear()  # a new drive has begun
         self._views.append((time, _view(self.camera, self._arm, jnp.asarray(angles))))
         while len(self._views) > 1 and self._views[1][0] <= time - self.latency + 1e-9:
             self._views.popleft()
         return self._views[0][1]
 
     def facts(self) -> dict[str, Any]:
-        """What a page needs to draw its picture: focal length and centre (px), and size."""
+        """Return what a page needs to draw the picture: focal lengths, centre and size, px."""
         across = float(self.camera.focal_length)
         aspect = 1.0 if self.camera.aspect is None else float(self.camera.aspect)
         return {
@@ -80,28 +82,30 @@ def _view(camera: Pinhole, arm: Arm, angles: Array) -> View:
 
 _PAGE = files(__package__).joinpath("page.html")
 
-# The page is told so many poses a second at most, and the scene is drawn so often.
+# Largest number of poses sent to the page per second, and of drawings of the scene per second.
 _TOLD, _DRAWN = 60.0, 12.0
 
-# Of intervals that are made up for at once: what an operator sees and does comes between them.
+# Largest number of late intervals simulated at once. Between them, poses are shown and messages
+# from the operator are handled.
 _AT_ONCE = 2
 
-_LONGEST_MESSAGE = 1 << 16  # longer than anything that the page says
+_LONGEST_MESSAGE = 1 << 16  # bytes; longer than any message from the page
 TAKEN_OVER = "another page has taken over"
 UNMOVED = "the drive has ended: no joint was moved, and nothing is saved"
 ENDED = "the drive has ended and is being saved: the terminal shows the location of the files"
 
 
 class Cockpit:
-    """Serves the page of a drive, and drives in step with the clock until it is closed.
+    """Server of the page of a drive, which advances the arm in real time until it is closed.
 
-    Three threads go their own ways, so that none waits for another: the arm advances, the page is
-    told where it is, and the scene is drawn. Each takes the latest pose, and none is queued.
+    Three threads run independently: they advance the arm, send poses to the page, and draw the
+    scene. Each uses the latest pose. Poses are not queued.
 
     Arguments:
-        camera: of the picture at the tip.
-        host, port: where to listen, as of `giajax.apps.viewer.Viewer`, and whoever has the
-            `address`, drives.
+        session: drive to advance.
+        camera: camera of the picture from the tip.
+        host, port: host and port to listen at, as for `giajax.apps.viewer.Viewer`. Anyone who has
+            the `address` can drive the arm.
     """
 
     def __init__(
@@ -114,12 +118,14 @@ class Cockpit:
         self.error: str | None = None
         self.failure: Exception | None = None
         self.finished = False
-        # What pages said, with the time at which it came; the arm's own thread takes it in.
+        # Drives that the operator ended to begin a new one. The caller removes and saves them.
+        self.driven: deque[Record] = deque()
+        # Messages from pages with their times of arrival. The thread of the arm handles them.
         self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
         self._answers: deque[tuple[ServerConnection, str]] = deque()
         self._ended = threading.Event()
         self._fresh = threading.Condition()
-        # The clock of the drive begins with its thread, and everything is compiled by then.
+        # Compile everything before the thread of the drive starts its clock.
         self._pose: Pose = session.pose
         self._view: View = camera.see(session.time, self._pose.angles)
         self._operator: ServerConnection | None = None
@@ -151,11 +157,11 @@ class Cockpit:
 
     @property
     def ended(self) -> bool:
-        """Whether the drive is over: closed, `finished` by the operator, or by an `error`."""
+        """Whether the drive was closed, was `finished` by the operator, or had an `error`."""
         return self._ended.is_set()
 
     def wait(self, seconds: float) -> bool:
-        """Until the drive is over, but no longer; whether it is."""
+        """Wait at most so many seconds for the end of the drive; return whether it has ended."""
         return self._ended.wait(seconds)
 
     def close(self) -> None:
@@ -164,7 +170,7 @@ class Cockpit:
         with self._fresh:
             self._fresh.notify_all()
         if self._telling is not None and self._telling.is_alive():
-            self._telling.join(timeout=1)  # the page learns how it ended
+            self._telling.join(timeout=1)  # let the page receive the reason of the end
         self._gate.close()
         self._server.shutdown()
         self._place.close()
@@ -173,7 +179,7 @@ class Cockpit:
         self._stage.close()
 
     def _drive(self) -> None:
-        """Advance the arm in step with the clock."""
+        """Advance the arm in real time until the drive ends."""
         interval = self.session.interval
         try:
             while not self._ended.is_set():
@@ -189,13 +195,13 @@ class Cockpit:
         except InputError as error:
             self.error = str(error)
         except Exception as error:
-            # Whoever waits for the drive must learn that nothing moves any more.
+            # Threads that wait for the drive must learn that it has ended.
             self.error, self.failure = f"the drive was aborted: {error!r}", error
         finally:
             self._ended.set()
 
     def _take_in(self) -> None:
-        """What came since: of the page that drives."""
+        """Handle the new messages from the page that drives."""
         while self._inbox:
             connection, message, came = self._inbox.popleft()
             if connection is not self._operator:
@@ -206,6 +212,9 @@ class Cockpit:
                 with self._fresh:
                     self._fresh.notify_all()
                 return
+            if message.get("type") == "restart":
+                self.driven.append(self.session.restart())
+                continue
             try:
                 self.session.receive(message, came)
             except InputError as error:
@@ -220,19 +229,19 @@ class Cockpit:
                 drawn = pose.time
 
     def _scene(self, pose: Pose) -> Scene:
-        """The arm as it is; forces of the air on a still are none."""
+        """Return the scene of the arm at a pose, without forces of the air."""
         model = self.session.record.model
         return arm_scene(at_rest(model.arm, jnp.asarray(pose.angles)), model.sensors.marker)
 
     def _page(self, _: "ServerConnection", request: "Request") -> "Response | None":
-        """The page itself; what is not asked for it is a WebSocket."""
+        """Answer a request for the page; return None for the path of the WebSocket."""
         from websockets.datastructures import Headers
         from websockets.http11 import Response
 
         if request.path.rstrip("/") == "/pad":
             return None
         known = request.path.partition("?")[0] == "/"
-        # To which host the page may connect, the gate says.
+        # The gate restricts the host that the page may connect to.
         body = with_policy(_PAGE.read_bytes(), connect="'self' ws:") if known else b"not here\n"
         status = HTTPStatus.OK if known else HTTPStatus.NOT_FOUND
         kind = "text/html; charset=utf-8" if known else "text/plain"
@@ -241,13 +250,13 @@ class Cockpit:
         return Response(status.value, status.phrase, fields, body)
 
     def _talk(self, connection: "ServerConnection") -> None:
-        """One page: it is told where the arm is, and says what the operator does."""
+        """Serve one page: send it poses, and receive the actions of the operator."""
         from websockets.exceptions import ConnectionClosed
 
         before, self._operator = self._operator, connection
         if before is not None:
-            # A tab that was loaded again, or a second one: the latest drives. It does not wait for
-            # the other, whose machine may be gone.
+            # The latest page drives, after a reload or in a second tab. The previous page is
+            # dismissed in a thread, because its machine may no longer answer.
             threading.Thread(target=_dismiss, args=(before,), daemon=True).start()
         told = self._telling = threading.Thread(target=self._tell, args=(connection,), daemon=True)
         with suppress(ConnectionClosed, OSError):
@@ -259,7 +268,7 @@ class Cockpit:
             self._operator = None
 
     def _heard(self, connection: "ServerConnection", text: str | bytes) -> None:
-        """A message; what is none is answered."""
+        """Queue a message from a page, or queue an error if it is not a JSON object."""
         try:
             message = json.loads(text, parse_int=_whole)
         except (ValueError, RecursionError) as error:
@@ -295,7 +304,7 @@ class Cockpit:
                 connection.send(json.dumps({"type": "ended", "text": text}))
 
     def _facts(self) -> dict[str, Any]:
-        """What does not change."""
+        """Return the facts that do not change during a drive."""
         mapping, scene = self.session.mapping, self._scene(self._pose)
         return {
             "type": "facts",
@@ -317,7 +326,7 @@ class Cockpit:
         }
 
     def _words(self, pose: Pose, view: View) -> dict[str, Any]:
-        """Where the arm is."""
+        """Return the message with the current pose of the arm."""
         return {
             "type": "pose",
             "time": round(pose.time, 3),
@@ -336,7 +345,7 @@ class Cockpit:
 
 
 def _dismiss(connection: "ServerConnection") -> None:
-    """Tell a page that it drives no longer."""
+    """Tell a page that it no longer drives, and close its connection."""
     from websockets.exceptions import ConnectionClosed
 
     with suppress(ConnectionClosed, OSError):
@@ -345,5 +354,5 @@ def _dismiss(connection: "ServerConnection") -> None:
 
 
 def _whole(digits: str) -> int | float:
-    """An integer of a message; those of a thousand digits are neither a joint nor an angle."""
+    """Return an integer of a message, as a float if it is so long that it cannot be valid."""
     return int(digits) if len(digits) < 16 else float(digits)

@@ -1,4 +1,4 @@
-"""From what an operator does to what joints are commanded: a state machine without a clock."""
+"""State machine that turns the inputs of an operator into joint commands; it has no clock."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -15,31 +15,34 @@ from ...runtime.limits import TEXT_BYTES
 from ...runtime.text import InputError
 from ...schema import PadFile, PadSection
 
-# Of a standard pad: the sticks, and the two buttons below and to the right.
+# Indices of a standard pad: the axes of the sticks, and the lower and the right button.
 _LEFT_X, _LEFT_Y, _RIGHT_X, _RIGHT_Y = range(4)
 _SOUTH, _EAST = 0, 1
 
-# At full deflection, rad/s: three joints together turn the arm by 9 deg in a second.
+# Rate of a joint at full deflection, rad/s. Three joints together turn the arm at 9 deg/s.
 _RATE = float(np.deg2rad(3.0))
 
-# Angles of presets, rad, in equal parts over the joints of a third of the arm.
+# Total angles of presets, rad, divided equally among the joints of a third of the arm.
 _RAISED, _LOWERED, _ASIDE = (float(np.deg2rad(angle)) for angle in (30.0, 15.0, 30.0))
 
 
 @dataclasses.dataclass(frozen=True)
 class PadMapping:
-    """What a game pad does with the joints of an arm.
+    """Mapping from the axes and buttons of a game pad to the joints of an arm.
 
     Attributes:
-        axes: of each stick that does something: the rates of all joints at full deflection,
-            rad/s, shape (joint,).
-        presets: angles by name, rad, shape (joint,); NaN for joints that stay where they are.
-        buttons, stops: the preset that a button goes to; buttons that stop everything.
-        dead_men: buttons of which one must be held for anything to move; none: nothing must.
-        dead_zone, exponent: deflection below which a stick is at rest; of the rate over it.
-        largest_rate, largest_angle: of any joint's command, rad/s and rad.
-        timeout: without a word for so long everything stops, s.
-        smoothing: time in which rates follow a stick, s.
+        axes: index of each used axis -> rates of all joints at full deflection, rad/s,
+            shape (joint,).
+        presets: name of each preset -> angles, rad, shape (joint,); NaN for joints that keep their
+            angle.
+        buttons, stops: index of each button that selects a preset -> its name; indices of the
+            buttons that stop all motion.
+        dead_men: buttons of which one must be held for any motion; if empty, none is required.
+        dead_zone, exponent: deflection below which a stick has no effect; exponent of the rate as a
+            function of the deflection beyond it.
+        largest_rate, largest_angle: largest rate and angle of the command of a joint, rad/s, rad.
+        timeout: time without a message after which all motion stops, s.
+        smoothing: time constant with which rates follow a stick, s.
     """
 
     axes: Mapping[int, Float[np.ndarray, " joint"]]
@@ -56,10 +59,11 @@ class PadMapping:
 
     @classmethod
     def usual(cls, joints: int) -> Self:
-        """Of an arm whose odd joints pitch and whose even joints yaw, on a standard pad.
+        """Return the default mapping of a standard pad.
 
-        The left stick bends the third of the arm at its base, the right one the third at its tip.
-        Presets set the joints of such a third, and straighten all others.
+        Odd joints of the arm pitch and even joints yaw. The left stick bends the third of the arm
+        at its base, and the right stick the third at its tip. Each preset bends one of these
+        thirds, and straightens all other joints.
         """
         third = max(joints // 3, 2)
 
@@ -87,10 +91,10 @@ class PadMapping:
 
     @classmethod
     def load(cls, path: str | Path, joints: int) -> Self:
-        """What a TOML file says of a pad, for an arm of so many joints.
+        """Load the mapping of a pad from a TOML file, for an arm with a number of joints.
 
         Raises:
-            InputError: there is no such file, or it says something that cannot be done.
+            InputError: the file does not exist, or its content is not valid for the arm.
         """
         path = Path(path)
         try:
@@ -102,7 +106,7 @@ class PadMapping:
 
     @classmethod
     def from_section(cls, section: PadSection, joints: int, source: str) -> Self:
-        """What a `[pad]` says; the source is what errors call it."""
+        """Return the mapping of a `[pad]` table; errors name the source."""
         axes: dict[int, np.ndarray] = {}
         for entry in section.axes or []:
             row = axes.setdefault(entry.axis, np.zeros(joints))
@@ -149,7 +153,7 @@ class PadMapping:
         )
 
     def rates(self, deflections: Mapping[int, float], joints: int) -> Float[np.ndarray, " joint"]:
-        """Rates of the joints (rad/s) at deflections of the sticks, each from -1 to 1."""
+        """Return the rates of the joints, rad/s, for deflections of the axes, from -1 to 1."""
         rates = np.zeros(joints)
         for axis, row in self.axes.items():
             rates += row * shaped(deflections.get(axis, 0.0), self.dead_zone, self.exponent)
@@ -157,7 +161,7 @@ class PadMapping:
 
 
 def shaped(deflection: float, dead_zone: float, exponent: float) -> float:
-    """What a stick means: 0 within its dead zone, continuous at its edge, and 1 at its end."""
+    """Return the effect of a deflection: 0 in the dead zone, continuous at its edge, 1 at most."""
     if not np.isfinite(deflection):
         return 0.0
     size = (min(abs(deflection), 1.0) - dead_zone) / (1 - dead_zone)
@@ -174,20 +178,20 @@ def _places(numbers: list[int], joints: int, who: str, source: str) -> list[int]
     return [number - 1 for number in numbers]
 
 
-_PRESSED = 0.5  # a button counts as pressed from here on
+_PRESSED = 0.5  # value above which a button counts as pressed
 NOT_YET = "no command has been given yet"
 STOPPED = "stopped by the operator"
-SILENT = "no message from the page: the tab or its connection is lost"
+SILENT = "no message from the page: its tab was closed, or the connection is lost"
 NO_PAD = "the pad is disconnected"
 LET_GO = "the dead man's switch is not pressed"
 
 
 class Operator:
-    """Takes what comes from a page, the latest only, and says what joints are commanded.
+    """Operator input, from which the joint commands follow; only the latest input counts.
 
-    A stick sets rates, a slider or a preset a target that is approached no faster than the largest
-    rate. Where nothing is heard for a while, or the pad is gone, rates become 0, targets are given
-    up, and the command stays where it is, until something is moved again.
+    A stick sets rates. A slider or a preset sets a target, which is approached at most at the
+    largest rate. If no message arrives before the timeout, or the pad is disconnected, the rates
+    become 0, the targets are discarded, and the command stays constant until the next input.
     """
 
     def __init__(self, mapping: PadMapping, joints: int) -> None:
@@ -203,13 +207,17 @@ class Operator:
         self._pressed: frozenset[int] = frozenset()
 
     def receive(self, message: Mapping[str, Any], now: float) -> None:
-        """One message of the page, that came at a time (s).
+        """Handle one message from the page.
 
         Arguments:
-            message: `{"type": "pad", "axes": [...], "buttons": [...]}` of a pad that is there,
-                `{"type": "no_pad"}` once it is gone, `{"type": "joint", "joint": 3, "deg": 10}`,
-                `{"type": "preset", "name": ...}`, `{"type": "stop"}`, or `{"type": "alive"}`;
-                another is refused, and the drive goes on.
+            message: `{"type": "pad", "axes": [...], "buttons": [...]}` while a pad is connected,
+                `{"type": "no_pad"}` after it is disconnected,
+                `{"type": "joint", "joint": 3, "deg": 10}`, `{"type": "preset", "name": ...}`,
+                `{"type": "stop"}`, or `{"type": "alive"}`.
+            now: time of arrival, s.
+
+        Raises:
+            InputError: the message has another type or invalid values; the drive can continue.
         """
         kind = message.get("type")
         if kind == "pad":
@@ -229,11 +237,11 @@ class Operator:
         self._heard = now
 
     def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
-        """The command at a time (s) at which so much (s) has elapsed, rad."""
+        """Return the command at time `now`, s, after a step of `elapsed`, s; in rad."""
         if self._heard is not None and now - self._heard > self.mapping.timeout:
             self._stop(SILENT)
         most, smoothing = self.mapping.largest_rate * elapsed, self.mapping.smoothing
-        # What follows with a lag; where everything stops it stops at once.
+        # Rates follow the sticks with a lag, but stop immediately.
         share = -np.expm1(-elapsed / smoothing) if smoothing > 0 else 1.0
         self._rates = self._rates + share * (self._wanted - self._rates)
         if self.stopped is not None:
@@ -242,14 +250,14 @@ class Operator:
         aimed = np.isfinite(self._target)
         change[aimed] += (self._target - self.command)[aimed]
         limit = self.mapping.largest_angle
-        # A joint that is beyond the limit already may come back.
+        # A joint that is already beyond the limit can only move back.
         low, high = np.minimum(self.command, -limit), np.maximum(self.command, limit)
         self.command = np.clip(self.command + np.clip(change, -most, most), low, high)
         self._target[aimed & (self._target == self.command)] = np.nan
         return self.command
 
     def _pad(self, axes: Sequence[float], buttons: Sequence[float]) -> None:
-        """What the pad is like now; a pad that has just come is not moved yet."""
+        """Handle the current state of the pad."""
         if not axes:
             raise InputError("the pad has no axes: connect a pad with sticks")
         held = frozenset(i for i, value in enumerate(buttons) if value > _PRESSED)
@@ -299,7 +307,7 @@ class Operator:
     def _stop(self, why: str) -> None:
         self._wanted = np.zeros(self.joints)
         self._target[:] = np.nan
-        # The first reason is the cause.
+        # Keep the first reason, because it is the cause.
         if self.stopped in (None, NOT_YET):
             self.stopped = why
 

@@ -1,4 +1,4 @@
-"""An arm that is driven: commands from an operator, steps in time with a clock, and a record."""
+"""Drive of an arm: commands from an operator, steps in real time, and a record."""
 
 import contextlib
 import os
@@ -34,14 +34,14 @@ from ._operator import Operator, PadMapping
 
 
 class Pose(NamedTuple):
-    """Where a driven arm is: the latest, and no other.
+    """Current pose of a driven arm.
 
     Attributes:
-        time: that was driven, s.
-        angles, command: of the joints, and commanded ones, rad.
+        time: time since the start of the drive, s.
+        angles, command: angles and commanded angles of the joints, rad.
         wind: velocity of the air, m/s.
-        stopped: why nothing moves, or None.
-        lost: time that the simulation fell behind the clock for good, s.
+        stopped: reason why the command does not move, or None.
+        lost: time by which the simulation has permanently fallen behind the clock, s.
     """
 
     time: float
@@ -53,24 +53,28 @@ class Pose(NamedTuple):
 
 
 class Compensation:
-    """The inverse of a joint's hysteresis from angle to angle, in every joint, sample by sample."""
+    """Inverse of the hysteresis from commanded to measured angle, for each joint and sample."""
 
     def __init__(self, compensator: Compensator, joints: int) -> None:
         channels = [compensator.input_channel, compensator.output_channel]
         if any(channel is not None and channel.quantity != "angle" for channel in channels):
             raise InputError(
                 f"the input of the compensation is {compensator.input_channel.column}, but the "
-                "joints of an arm are driven by angles: give a fit from commanded to measured "
+                "joints of an arm are driven by angles: give a fit with commanded and measured "
                 "angles"
             )
         self._compensator = compensator
-        self._state = jax.tree.map(
+        self._first = self._state = jax.tree.map(
             lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), (joints, *jnp.shape(leaf))),
             compensator.state,
         )
 
+    def restart(self) -> None:
+        """Reset the hysteresis to its state before the first command."""
+        self._state = self._first
+
     def __call__(self, wanted: Float[np.ndarray, " joint"]) -> Float[np.ndarray, " joint"]:
-        """Commands for wanted angles, both rad, shape (joint,); what cannot be reached is cut."""
+        """Return commands for wanted angles, rad, shape (joint,), clipped to the reachable ones."""
         low, high = self._compensator.reachable
         values = jnp.asarray(np.clip(wanted, low, high) - self._compensator.offset)
         inputs, self._state = _step(self._compensator.operator, values, self._state)
@@ -87,10 +91,16 @@ def _step(operator: AbstractOperator, values: Array, state: Any) -> tuple[Array,
 
 
 class Record:
-    """What an arm was told and what it did, row by row; the model has the sensors that see it."""
+    """Record of the commands and the motion of an arm, row by row.
+
+    Attributes:
+        model: model of the arm, with the sensors that observe the motion.
+        lost: time by which the simulation has permanently fallen behind the clock, s.
+    """
 
     def __init__(self, model: ArmModel) -> None:
         self.model = model
+        self.lost = 0.0
         self._rows: list[tuple[float, np.ndarray, np.ndarray, np.ndarray]] = []
 
     def __len__(self) -> int:
@@ -98,11 +108,18 @@ class Record:
         return len(self._rows)
 
     def add(self, time: float, command: np.ndarray, state: np.ndarray, wind: np.ndarray) -> None:
-        """One row: of all joints commands (rad), angles (rad) and rates (rad/s); wind (m/s)."""
+        """Add one row: the time, s, with commands and states of all joints, and the wind.
+
+        Arguments:
+            time: time since the start of the drive, s.
+            command: commanded angles, rad, shape (joint,).
+            state: angles, rad, and rates, rad/s, of the joints, shape (2, joint).
+            wind: velocity of the air, m/s, shape (3,).
+        """
         self._rows.append((time, command, state, wind))
 
     def rows(self, first: int = 0) -> list[list[float]]:
-        """Time, commands, angles, rates and wind of each row from the first on, SI."""
+        """Return time, commands, angles, rates and wind of each row from `first` on, SI units."""
         return [
             [float(time), *command.tolist(), *state.ravel().tolist(), *wind.tolist()]
             for time, command, state, wind in self._rows[first:]
@@ -113,7 +130,7 @@ class Record:
 
     @property
     def times(self) -> Float[np.ndarray, " row"]:
-        """Of the rows, s."""
+        """Times of the rows, s."""
         return self._column(0)
 
     @property
@@ -132,6 +149,11 @@ class Record:
         return self._column(3)
 
     @property
+    def duration(self) -> float:
+        """Duration of the drive, s."""
+        return float(self.times[-1]) if len(self) else 0.0
+
+    @property
     def is_still(self) -> bool:
         """Whether nothing was driven, or no joint was moved: there is no run to save."""
         return len(self) < 2 or not command_columns(self.commands)
@@ -146,18 +168,21 @@ class Record:
         seed: int = 0,
         origin: str = "",
     ) -> Run:
-        """The drive as a run: commands, wind, and what sensors saw.
+        """Return the drive as a run with commands, wind and sensor readings.
 
-        Commands have every row, because between rows they are linear; other cells are empty but
-        in every so-manieth row.
+        Every row has commands, because they are interpolated linearly between rows. The sensor
+        readings are empty except in every `every`-th row.
 
         Arguments:
-            channels: what is recorded (`link06_z`, `tip_x`).
+            channels: channels to record (`link06_z`, `tip_x`).
+            name: name of the run.
             noise: standard deviations by the keys of `[noise]` (`position_m`).
-            every: in which rows there is a recording.
+            every: number of rows per sensor reading.
+            seed: seed of the noise.
+            origin: origin of the data, for the sidecar.
 
         Raises:
-            InputError: too short a drive, one in which no joint was moved, or an unknown channel.
+            InputError: the drive is too short, no joint was moved, or a channel is unknown.
         """
         if len(self) < 2:
             raise InputError("the drive has no duration: there is no run to save")
@@ -183,19 +208,20 @@ class Record:
 
 
 class Unfinished:
-    """A drive while it goes on, as a run in a file of its own, which outlives the process.
+    """Backup file of a drive in progress, as a run, which remains if the process is killed.
 
-    Its columns are commands, angles and rates of all joints, and the wind; its sidecar is that of
-    the arm. Nothing is left of it but by `remove`.
+    The columns are the commands, angles and rates of all joints, and the wind. The sidecar
+    describes the arm. Only `remove` deletes the files.
 
     Arguments:
-        record: of the drive, which has its first row.
-        path: of the file, which ends in `.csv` and is written over.
-        origin: what the sidecar says of where it is from.
-        complain: called with a sentence where rows cannot be written; they are with the next ones.
+        record: record of the drive, which already has its first row.
+        path: path of the file, which ends in `.csv` and is overwritten.
+        origin: origin of the data, for the sidecar.
+        complain: function that is called with a message if rows cannot be written. They are written
+            together with the next rows.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the files cannot be written.
     """
 
     def __init__(
@@ -221,7 +247,10 @@ class Unfinished:
         self._size = len(header.encode())
 
     def add(self) -> None:
-        """Write what was driven since, or have it wait for the next time: rows are whole."""
+        """Append the new rows to the file; only complete rows are written.
+
+        If this fails, the rows are written by the next call.
+        """
         rows = self.record.rows(self._rows)
         data = "".join(",".join(map(repr, row)) + "\n" for row in rows).encode()
         try:
@@ -229,7 +258,7 @@ class Unfinished:
                 file.seek(self._size)
                 try:
                     left = memoryview(data)
-                    while left:  # the disk may take a part
+                    while left:  # a call may write only a part
                         left = left[file.write(left) :]
                     os.fsync(file.fileno())
                 except OSError:
@@ -247,7 +276,7 @@ class Unfinished:
         self._rows, self._size = self._rows + len(rows), self._size + len(data)
 
     def remove(self) -> None:
-        """Remove it, whose drive was saved."""
+        """Remove the files after the drive has been saved."""
         for path in (self.path, sidecar_path(self.path)):
             with contextlib.suppress(OSError):
                 path.unlink()
@@ -260,28 +289,31 @@ def _seen(model: ArmModel, motion: Trajectory, channels: tuple[str, ...]) -> Cha
 
 
 RATE = 30.0
-"""Poses per second."""
+"""Default number of poses per second."""
 
-_BEHIND = 1.0  # of simulated time that is made up for at once; what is beyond it is lost, and said
+_BEHIND = 1.0  # largest delay that the simulation catches up with, s; a larger one counts as lost
 _WIND = ("wind_x", "wind_y", "wind_z")
 
 
 class Session:
-    """One drive of an arm, from the straight arm at rest.
+    """Drive of an arm that starts straight and at rest.
 
-    Time is that of the caller: `tick` takes the clock, and advances the arm by as many intervals
-    as have passed. A message holds from the next interval on.
+    The caller provides the clock: `tick` takes the current time and advances the arm by the
+    intervals that have passed. A message takes effect in the next interval.
 
     Arguments:
-        model: of the arm, with the sensors that the record is seen by.
-        mapping: what the pad does; `PadMapping.usual` by default.
-        rate: poses a second.
-        steps: of the integrator in each.
-        gusts: wind over time, one for the whole arm; repeated at its end. None: still air.
-        memory: whether joints remember; the arm without its hysteresis where not.
+        model: model of the arm, with the sensors that observe the recorded motion.
+        mapping: mapping of the pad; defaults to `PadMapping.usual`.
+        rate: poses per second.
+        steps: steps of the integrator per pose.
+        gusts: wind velocity versus time, equal along the arm and repeated at its end; None for
+            still air.
+        compensation: compensation of the hysteresis of the joints, if any.
+        memory: simulate the hysteresis of the joints; if False, it is left out.
 
     Raises:
-        InputError: a rate or steps out of bounds, gusts from link to link, or no memory to leave.
+        InputError: the rate or the number of steps is out of bounds, the gusts differ between
+            links, or the arm has no hysteresis to leave out.
     """
 
     def __init__(
@@ -322,30 +354,43 @@ class Session:
         self.interval = 1.0 / rate
         self.gusty = gusts is not None
         self.compensated = compensation is not None
-        self.lost = 0.0
         self.record = Record(ArmModel(arm, sensors=model.sensors))
         self.can_gust = self.gusty
         self.can_compensate = self.compensated
         self._gusts = gusts
         self._compensation = compensation
         self._stepper = Stepper(arm, jnp.asarray(self.interval), steps)
-        self._wind = self._wind_at(0.0)
-        self.moment: Moment = self._stepper.start(wind=self._wind)
-        # Compiled before the clock runs.
+        self._begin()
+        # Compile before the clock starts.
         self._stepper.advance(self.moment, self.moment.command, jnp.asarray(self._wind))
+
+    def _begin(self) -> None:
         self._count = 0
         self._began: float | None = None
+        self._wind = self._wind_at(0.0)
+        self.moment: Moment = self._stepper.start(wind=self._wind)
         self._add()
+
+    def restart(self) -> Record:
+        """Begin a new drive with the straight arm at rest; return the record of the last one."""
+        driven = self.record
+        self.record = Record(driven.model)
+        self.operator = Operator(self.mapping, driven.model.arm.count)
+        if self._compensation is not None:
+            self._compensation.restart()
+        self._begin()
+        return driven
 
     @property
     def time(self) -> float:
-        """That was driven, s."""
+        """Time since the start of the drive, s."""
         return self._count * self.interval
 
     def receive(self, message: Mapping[str, Any], now: float) -> None:
-        """One message of a page at a time of the clock (s): of `Operator.receive`, or a switch.
+        """Handle one message from a page, which arrived at a time of the clock, s.
 
-        Switches are `{"type": "gusts", "on": true}` and `{"type": "compensation", "on": true}`.
+        The message is a switch (`{"type": "gusts", "on": true}` or
+        `{"type": "compensation", "on": true}`) or a message for `Operator.receive`.
         """
         kind = message.get("type")
         if kind == "gusts":
@@ -356,31 +401,32 @@ class Session:
             self.operator.receive(message, now)
 
     def tick(self, now: float, most: int | None = None) -> Pose:
-        """Advance to the time of the clock (s), and say where the arm is.
+        """Advance to the time of the clock, s, and return the pose of the arm.
 
-        At most so many intervals are made up for at once; all that are missing by default.
+        At most `most` intervals are simulated; by default, all that have passed.
         """
         if self._began is None:
             self._began = now - self.time
         behind = now - self._began - self.time
         if behind > _BEHIND + self.interval:
-            # The clock is moved on: what an operator sees must not race after it.
+            # Discard the delay, so that the operator does not see the arm move faster than real
+            # time.
             late = behind - self.interval
-            self.lost += late
+            self.record.lost += late
             self._began += late
-        # A hair less than an interval is one: clocks are added up.
+        # The tolerance covers the rounding errors of accumulated times.
         missing = int((now - self._began - self.time) / self.interval + 1e-6)
         for _ in range(missing if most is None else min(missing, most)):
-            # By the clock: an arm that is behind stops no later.
+            # Pass the time of the clock, so that an arm that lags behind stops without delay.
             self.advance(now)
         return self.pose
 
     def advance(self, now: float) -> None:
-        """One interval; `now` is the time of the clock, by which a page is silent, s."""
+        """Simulate one interval; `now` is the time of the clock, s, used for the timeout."""
         wanted = self.operator.advance(now, self.interval)
         command = wanted
         if self._compensation is not None:
-            # It goes on to remember while it is switched off.
+            # The compensation keeps its state up to date while it is switched off.
             compensated = self._compensation(wanted)
             command = compensated if self.compensated else wanted
         self._count += 1
@@ -391,9 +437,9 @@ class Session:
 
     @property
     def pose(self) -> Pose:
-        """Where the arm is."""
+        """Current pose of the arm."""
         angles, command = np.asarray(self.moment.angles), np.asarray(self.moment.command)
-        return Pose(self.time, angles, command, self._wind, self.operator.stopped, self.lost)
+        return Pose(self.time, angles, command, self._wind, self.operator.stopped, self.record.lost)
 
     def _wind_at(self, time: float) -> Float[np.ndarray, "3"]:
         if self._gusts is None or not self.gusty:
@@ -412,15 +458,15 @@ class Session:
         self.record.add(self.time, np.asarray(self.moment.command), state, self._wind)
 
 
-# A drive without an operator: what a pad did, from a file.
+# A drive without an operator takes the inputs of a pad from a file.
 
-_ALIVE = 0.2  # between two rows of a file a page would have said that it is there
+_ALIVE = 0.2  # interval of the simulated messages from a page between two rows of a file, s
 
 
 def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
-    """A table of what a pad did: `time_s`, `axis0`, `axis1`, ..., `button0`, ...
+    """Read a table of pad inputs with the columns `time_s`, `axis0`, `axis1`, ..., `button0`, ...
 
-    It is read as a run is, by the same limits.
+    The limits on the size of a run apply.
 
     Raises:
         InputError: the file does not exist, or it is not such a table.
@@ -445,7 +491,7 @@ def read_pad(path: str | Path) -> Mapping[str, Float[np.ndarray, " row"]]:
 
 
 def check_length(seconds: float, interval: float) -> None:
-    """Refuse a drive (s) that would fill the memory with a pose in each interval (s)."""
+    """Raise an `InputError` for a drive of a length, s, with too many intervals, s, for memory."""
     if not seconds <= POSES * interval:
         raise InputError(
             f"the drive lasts {seconds:g} s, but may last at most {POSES * interval:g} s at "
@@ -460,15 +506,17 @@ def replay(
     until: float | None = None,
     on_progress: Callable[[float, float], None] | None = None,
 ) -> None:
-    """Drive an arm by what a pad did, as fast as it can be simulated.
+    """Drive an arm with recorded pad inputs, as fast as the simulation runs.
 
     Arguments:
-        pad: as of `read_pad`; a row holds until the next one.
-        until: end of the drive, s; the last row by default.
-        on_progress: is called now and then with the time that was driven, and the whole, s.
+        session: drive to advance.
+        pad: table of pad inputs from `read_pad`; a row holds until the next one.
+        until: end of the drive, s; defaults to the time of the last row.
+        on_progress: function that is called in each interval with the simulated and the total
+            time, s.
 
     Raises:
-        InputError: a drive that is too long.
+        InputError: the drive is too long.
     """
     times = pad["time_s"] - pad["time_s"][0]
     end = float(times[-1]) if until is None else until
@@ -478,7 +526,7 @@ def replay(
     rows, heard = 0, -np.inf
     while session.time + 0.5 * session.interval < end:
         now = session.time
-        # All rows until now: the latest one holds, but each may press a button.
+        # Send all rows until now: the latest one holds, but each may press a button.
         while rows < len(times) and times[rows] <= now + 1e-9:
             session.receive(_message(pad, rows), now)
             rows, heard = rows + 1, now
@@ -502,7 +550,7 @@ def _message(pad: Mapping[str, Float[np.ndarray, " row"]], row: int) -> dict[str
 
 
 def _place(column: str, kind: str | None = None) -> int | None:
-    """Which axis or button a column is of; None where it is of none."""
+    """Return the index of the axis or button of a column, or None for other columns."""
     found = re.fullmatch(r"(axis|button)(0|[1-9][0-9]{0,2})", column)
     if found is None or kind not in (None, found[1]) or int(found[2]) > 255:
         return None

@@ -1,4 +1,4 @@
-"""An arm from its roll to the opening and back: unrolled, filled, raised, flown and deflated."""
+"""Life cycle of an arm: it is unrolled, filled, raised, flown through an opening and deflated."""
 
 from ._flight import (
     Audit as Audit,

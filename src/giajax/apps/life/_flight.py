@@ -1,4 +1,4 @@
-"""Energy and momentum of a flown motion: works and impulses, integrated along a repeat of it."""
+"""Energy and momentum of a flight: works and impulses, integrated in a repeated simulation."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -29,19 +29,19 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...simulation import Inputs, Signal, motion
 
-_MOST_STEPS = 10_000  # in an interval
+_MOST_STEPS = 10_000  # largest number of steps in an interval
 
 
 class FlightWorks(NamedTuple):
-    """Work on the motion of an arm, J; what is taken from it is negative.
+    """Works on the motion of an arm, J; energy that is taken from the motion is negative.
 
     Attributes:
-        drives: of commands, which wind the joints' springs up.
-        muscles: of the pressures in muscles.
-        drag: of the air, which a wind may drive.
-        damping: of dampers and friction in joints.
-        hysteresis: of what joints remember, and of further laws.
-        contact: of obstacles; what flattened links store is not given back yet.
+        drives: work of the commands, which wind up the springs of the joints.
+        muscles: work of the pressures in the muscles.
+        drag: work of the drag, which is positive if the wind drives the arm.
+        damping: work of the dampers and the friction in the joints.
+        hysteresis: work of the hysteresis and of further laws of the joints.
+        contact: work of obstacles; energy still stored in flattened links counts as taken away.
     """
 
     drives: Scalar
@@ -53,7 +53,7 @@ class FlightWorks(NamedTuple):
 
 
 class Impulses(NamedTuple):
-    """Impulses on an arm in the base frame, N s: of its base, weight, lift, drag and obstacles."""
+    """Impulses on an arm in the base frame, N s, from base, weight, lift, drag and obstacles."""
 
     base: Float[Array, "3"]
     weight: Float[Array, "3"]
@@ -63,14 +63,14 @@ class Impulses(NamedTuple):
 
 
 class Audit(NamedTuple):
-    """What a motion has exchanged, over time.
+    """Energy, momentum, works and impulses of a motion versus time.
 
     Attributes:
-        angles: of the joints in the repeat, rad.
-        energy: of motion, springs, strain, gravity and lift, J.
-        momentum: of the arm with all that it carries, kg m/s.
-        works: since the beginning, J.
-        impulses: since the beginning, N s.
+        angles: angles of the joints in the repeated simulation, rad.
+        energy: kinetic energy and potential energy of springs, hysteresis, gravity and lift, J.
+        momentum: momentum of the arm and its load, kg m/s.
+        works: works since the beginning, J.
+        impulses: impulses since the beginning, N s.
     """
 
     angles: Float[Array, "row joint"]
@@ -81,21 +81,21 @@ class Audit(NamedTuple):
 
 
 def check_audited(arm: Arm) -> None:
-    """Refuse what is not a part of the balances.
+    """Check that the balances include all effects of an arm.
 
     Raises:
-        InputError: added mass, or a law of joints whose states have no rate.
+        InputError: the arm has added mass, or a joint law with states that have no rate.
     """
     if arm.air.added_mass_coefficient is not None:
         raise InputError(
-            "the arm has air.added_mass_coefficient: in gusts the energy of the air moving "
+            "the arm has air.added_mass_coefficient, and in gusts the energy of the air that moves "
             "with the links cannot be balanced: remove the coefficient"
         )
     for law in arm.further_laws.laws:
         if law.rows and type(law).rate is AbstractJointLaw.rate:
             raise InputError(
                 f"the arm has joints with {type(law).__name__}, whose state variables have no "
-                "rate, so that the energy of the motion cannot be balanced: use joints.memory"
+                "rate, so the energy of the motion cannot be balanced: use joints.memory"
             )
 
 
@@ -112,7 +112,7 @@ def _momentum(arm: Arm, angles: Array, rates: Array) -> Float[Array, "3"]:
 
 
 def _powers(time: Any, state: Array, inputs: Inputs, slope: Array) -> tuple[Array, Any, Any]:
-    """Rates of the state, powers, W, and forces, N."""
+    """Return the time derivative of the state, the powers, W, and the forces, N."""
     assert inputs.wind is not None
     arm, command = inputs.arm, inputs.command(time)
     angles, rates, memory, skin = inputs.parts(state)
@@ -145,7 +145,7 @@ def _powers(time: Any, state: Array, inputs: Inputs, slope: Array) -> tuple[Arra
         contact=met,
     )
     upwards, borne = jnp.zeros(3, rates.dtype).at[2], lift(arm)
-    # Of the arm with nothing around it, to which obstacles are a part of what the base must do.
+    # Computed without obstacles, this force is the sum of the forces of the base and the obstacles.
     alone = dataclasses.replace(arm, contact=None)
     held = joint_forces(alone, angles, rates, moved[1], air, gust, time=clock)[0]
     impulses = Impulses(
@@ -166,11 +166,12 @@ def audit(
     wind: Float[Array, "row width"],
     tolerance: Scalar,
 ) -> Audit:
-    """Repeat a motion from rest, whose commands (rad) and wind (m/s) are linear between rows.
+    """Repeat a motion from rest, and integrate its works and impulses.
 
-    Works and impulses are states beside those of the motion, and so as exact as it is: the method
-    is an explicit one of order 5 whose steps end at each row, unlike that of the flight. Skin that
-    slides along an obstacle is let go at rows alone.
+    The commands, rad, and the wind, m/s, are linear between rows. Works and impulses are additional
+    states, and therefore as accurate as the motion. Unlike the simulation of the flight, the method
+    is explicit, of order 5, and its steps end at each row. Skin that slides along an obstacle is
+    released only at rows.
     """
     zero = jnp.zeros_like(interval)
     none = FlightWorks(*(zero,) * 6), Impulses(*(jnp.zeros(3, zero.dtype),) * 5)

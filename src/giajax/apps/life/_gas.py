@@ -1,4 +1,4 @@
-"""Gas of an arm of balloons: fed, at rest, let out, and pressed out as the arm is rolled up."""
+"""Gas of an arm of balloons during feeding, rest, venting and rolling up."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -22,22 +22,22 @@ from ...runtime.arrays import Array, Bool, Float, Scalar, larger, smaller
 from ...runtime.programs import program
 
 _MOST_STEPS = 50_000
-_CLOSE = 1e-9  # of the time when something is reached
+_CLOSE = 1e-9  # tolerance of the time of an event
 
-_ALIKE = 0.01  # of the largest pressure
+_ALIKE = 0.01  # difference of equal pressures, relative to the largest pressure
 
 LEFT_OPEN = 0.01
-"""Smallest share of the volume of a link that stays open and keeps gas in the roll."""
+"""Smallest fraction of a link's volume that stays open and keeps gas in the roll."""
 
 
 class GasWorks(NamedTuple):
-    """Work on gas and skin, J; what is lost is negative.
+    """Works on gas and skin, J; losses are negative.
 
     Attributes:
-        supply: what the gas that is fed could do at the pressure of the first bag.
-        ports: lost between the bags.
-        valve: lost where gas is let out.
-        hand: of the hand that rolls the arm up.
+        supply: available work of the gas that is fed at the pressure of the first bag.
+        ports: loss in the ports between the bags.
+        valve: loss in the valve through which gas is let out.
+        hand: work of the hand that rolls the arm up.
     """
 
     supply: Scalar
@@ -47,8 +47,14 @@ class GasWorks(NamedTuple):
 
 
 class GasState(NamedTuple):
-    """Gas of each bag over what fills it; work of its pressure on the skin, J a cubic metre of the
-    tight bag; kg that were fed and let out; and works.
+    """State of the gas in all bags.
+
+    Attributes:
+        share: mass of the gas in each bag divided by the mass that fills it.
+        skin: work of the pressure on the skin of each bag, J per m^3 of the tight bag.
+        fed: mass of gas that was fed, kg.
+        let_out: mass of gas that was let out, kg.
+        works: works on gas and skin, J.
     """
 
     share: PerBag
@@ -59,16 +65,18 @@ class GasState(NamedTuple):
 
 
 class Handling(NamedTuple):
-    """What is done with the gas: as numbers, so that all phases of an arm share one program.
+    """Handling of the gas in a phase, as numbers, so that all phases share one compiled program.
 
     Attributes:
-        feeds: 1 where the supply is open, else 0.
-        settles: 1 where it ends when pressures are alike to 1 %, else 0.
-        opens: 1 where the first bag is open to the room, by a port as the others, else 0.
+        feeds: 1 if the supply is open, else 0.
+        settles: 1 if the phase ends when all pressures are equal within 1 %, else 0.
+        opens: 1 if the first bag is open to the room, through a port like the others, else 0.
         rolls: speed at which the arm is rolled up from its tip, m/s.
-        force: p pi r^2 that every link has at the end, N; negative: any.
-        pressure: that no link exceeds at the end, Pa; negative: it is not what ends it.
-        duration: at most, s.
+        force: value of p pi r^2 that all links must reach for the end of the phase, N; a negative
+            value is ignored.
+        pressure: pressure that no link may exceed for the end of the phase, Pa; a negative value is
+            ignored.
+        duration: largest duration of the phase, s.
     """
 
     feeds: Scalar
@@ -81,18 +89,20 @@ class Handling(NamedTuple):
 
 
 class GasCourse(NamedTuple):
-    """Gas over time, at evenly spaced times (s) from 0 until the end.
+    """Gas versus time, at evenly spaced times from 0 until the end of a phase.
 
     Attributes:
-        share: as of `GasState`, shape (time, bag).
-        pressure: of each link above that of the room, Pa, shape (time, link).
-        fullness: volume of each link over that of its tube, shape (time, link).
-        lift: mass that all links together could carry beside themselves, kg, shape (time,).
+        times: times since the beginning of the phase, s.
+        share: mass of the gas in each bag relative to a full bag, shape (time, bag).
+        pressure: gauge pressure of each link relative to the room, Pa, shape (time, link).
+        fullness: volume of each link divided by that of its tube, shape (time, link).
+        lift: additional mass that the buoyancy of all links could carry, kg, shape (time,).
         stored: energy of gas and skin at the beginning and at the end, J.
-        mass: of the gas by its pressures and volumes at the beginning and at the end, kg.
-        end: the last state.
-        reached: whether what was to be reached was reached.
-        succeeded: whether steps came to the end.
+        mass: mass of the gas, computed from pressures and volumes, at the beginning and at the
+            end, kg.
+        end: last state.
+        reached: whether the phase reached its goal.
+        succeeded: whether the integration succeeded.
     """
 
     times: Float[Array, " time"]
@@ -108,7 +118,7 @@ class GasCourse(NamedTuple):
 
 
 def _open_part(unrolling: Unrolling, rolls: Scalar, time: Scalar) -> PerBag:
-    """Part of each bag that is not rolled up."""
+    """Return the fraction of each bag that is not rolled up."""
     filling = unrolling.filling
     volume = open_volume(unrolling, unrolling.length - rolls * time)
     bags = jnp.zeros_like(filling.volume).at[filling.bag_of_link].add(volume)
@@ -116,12 +126,12 @@ def _open_part(unrolling: Unrolling, rolls: Scalar, time: Scalar) -> PerBag:
 
 
 def _bags(filling: Filling, share: PerBag, part: PerBag) -> BagState:
-    """Pressure and fullness of the part of each bag that is open."""
+    """Return the pressure and fullness of the open part of each bag."""
     return bag_state(filling.gas, filling.skin, filling.stretch, share / part)
 
 
 def gas_rates(time: Any, state: GasState, args: tuple[Unrolling, Handling]) -> GasState:
-    """Rates of change of the gas, and the power of what is done with it."""
+    """Return the time derivatives of the state of the gas, including the powers."""
     unrolling, handling = args
     filling = unrolling.filling
     gas, ports = filling.gas, filling.ports
@@ -138,7 +148,7 @@ def gas_rates(time: Any, state: GasState, args: tuple[Unrolling, Handling]) -> G
     let_out = handling.opens * mass_flow(gas, first, room + bags.pressure[0], room)
     into = jnp.concatenate([(fed - let_out)[None], between])
     out = jnp.concatenate([between, jnp.zeros_like(fed)[None]])
-    # What a kilogram of gas could do on its way to the pressure of the room.
+    # Available work of a kilogram of gas that expands to the pressure of the room.
     worth = gas.specific_energy * jnp.log1p(bags.pressure / room)
     changing = (into - out) / filling.full_mass
     stretching = jax.jvp(
@@ -165,7 +175,7 @@ def _links_of(filling: Filling, state: BagState) -> tuple[Array, Array]:
 def gas_course(
     unrolling: Unrolling, handling: Handling, begin: GasState, tolerance: Scalar, times: int
 ) -> GasCourse:
-    """Gas from a state on, until what is to be reached is reached, or the duration is over."""
+    """Simulate the gas from a state until the goal is reached, or until the largest duration."""
     filling = unrolling.filling
     area = jnp.pi / 4 * filling.arm.links.diameter**2
 
@@ -184,12 +194,12 @@ def gas_course(
         return reached
 
     zero = jnp.zeros_like(begin.fed)
-    # What is reached at the beginning, as by gas that unrolled the arm, is crossed no more.
+    # A goal that is already reached at the beginning does not cause an event.
     already = beyond(zero, begin, None) >= 0
     until = jnp.where(already, 1e-9 * handling.duration, handling.duration)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(gas_rates),
-        # As in `fill`: pressures of tight bags settle within a second.
+        # An implicit method is needed as in `fill`: pressures of tight bags settle within a second.
         diffrax.Kvaerno5(),
         t0=zero,
         t1=until,
@@ -217,7 +227,7 @@ def gas_course(
         return pressure, fullness * part[filling.bag_of_link], lift
 
     def held(t: Array, share: PerBag) -> tuple[Array, Array]:
-        """Energy, J, and mass, kg."""
+        """Return the energy of gas and skin, J, and the mass of the gas, kg."""
         part = _open_part(unrolling, handling.rolls, t)
         energy = bag_energy(filling.gas, filling.skin, filling.stretch, share / part)
         state = _bags(filling, share, part)
@@ -245,7 +255,7 @@ def gas_course(
 
 
 def as_one_bag(unrolling: Unrolling) -> Unrolling:
-    """The arm with the ports between its links left out, as `unroll` has it while gas drives it."""
+    """Return the arm as one bag without ports between its links, as in a gas-driven `unroll`."""
     filling = unrolling.filling
     ports = jax.tree.map(lambda each: jnp.ravel(each)[0], filling.ports)
     shared = (tuple(range(1, filling.arm.count + 1)),) if filling.arm.count > 1 else ()
@@ -256,7 +266,7 @@ def as_one_bag(unrolling: Unrolling) -> Unrolling:
 
 @program
 def gas_at(filling: Filling, share: Array) -> GasState:
-    """Bags with this share of the gas that fills them, from the supply; no work was done yet."""
+    """Return the state of bags that were fed a share of the gas that fills them; works are 0."""
     zero = jnp.zeros((), share.dtype)
     skin = bag_energy(filling.gas, filling.skin, filling.stretch, share).skin
     fed = jnp.sum(share * filling.full_mass)

@@ -1,4 +1,4 @@
-"""The phases of an arm's life in one run, and what each of them balances."""
+"""Simulation of all phases of the life cycle of an arm, with their balances."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -23,23 +23,23 @@ from ._flight import Audit, audit, check_audited
 from ._gas import GasCourse, GasState, Handling, as_one_bag, gas_at, gas_course
 
 RAISING = 60.0
-"""Duration of raising and of lowering the arm, s; assumed, and chosen to be slow."""
+"""Assumed duration of raising and of lowering the arm, s, chosen to be slow."""
 
 _TIMES = 101
-_TOLERANCE = 1e-7  # of steps of the gas, relative to what fills a bag
-_REPEATED = 1e-6  # of steps of the repeated motion
-_LET_OUT = 0.01  # of the pressure, where gas no longer flows out by itself
+_TOLERANCE = 1e-7  # tolerance of the gas, relative to the gas that fills a bag
+_REPEATED = 1e-6  # tolerance of the repeated motion
+_LET_OUT = 0.01  # fraction of the pressure at which the venting ends
 
 _Numbers = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
 class Balance:
-    """A sum that must come to nothing.
+    """Energy balance: the stored energy must equal the sum of the works.
 
     Attributes:
-        stored: what was stored meanwhile.
-        works: what came in, by where it came from; what went out is negative.
+        stored: change of the stored energy, J.
+        works: energy gained from each source, J; losses are negative.
     """
 
     stored: float
@@ -47,41 +47,42 @@ class Balance:
 
     @property
     def exchanged(self) -> float:
-        """Sum of all that came in or went out, each by its size."""
+        """Sum of the magnitudes of all works, J."""
         return sum(abs(each) for each in self.works.values())
 
     @property
     def gained(self) -> float:
-        """Sum of what came in."""
+        """Sum of the positive works, J."""
         return sum(max(each, 0.0) for each in self.works.values())
 
     @property
     def lost(self) -> float:
-        """Sum of what went out."""
+        """Magnitude of the sum of the negative works, J."""
         return -sum(min(each, 0.0) for each in self.works.values())
 
     @property
     def imbalance(self) -> float:
-        """What was stored and did not come in."""
+        """Change of the stored energy minus the sum of the works, J."""
         return self.stored - sum(self.works.values())
 
 
 @dataclasses.dataclass(frozen=True)
 class Phase:
-    """A part of a life.
+    """Phase of a life cycle.
 
     Attributes:
-        begin, end: s, on the clock of the whole life.
-        fed, let_out: gas from the supply and to the room, kg.
-        gas: in the arm at the end, by its pressure and volume, kg.
-        pressure: of each link at the end, Pa, shape (link,).
-        fullness: volume of each link over that of its tube at the end, shape (link,).
-        lift: mass that the arm could carry beside itself at the end, kg.
-        margin: least of p pi r^2 of a link over what a muscle pulls with at its limit, at the end,
-            N; negative where that link would collapse.
-        weakest: the link of that, counted from 1.
-        energy: works, J, of which those that are lost are negative, and what was stored.
-        touched: what obstacles did; those of the mission alone are known.
+        name: name of the phase.
+        begin, end: times on the clock of the whole life cycle, s.
+        fed, let_out: mass of gas from the supply and to the room, kg.
+        gas: mass of gas in the arm at the end, computed from pressures and volumes, kg.
+        pressure: gauge pressure of each link at the end, Pa, shape (link,).
+        fullness: volume of each link divided by that of its tube at the end, shape (link,).
+        lift: additional mass that the buoyancy of the arm could carry at the end, kg.
+        margin: smallest difference between p pi r^2 of a link and the largest pull of a muscle at
+            the end, N; if negative, the link would collapse.
+        weakest: number of the link with the smallest margin, counted from 1.
+        energy: energy balance of the phase, J.
+        touched: contacts with each obstacle; only known for the mission.
     """
 
     name: str
@@ -100,21 +101,23 @@ class Phase:
 
     @property
     def obstacles(self) -> list[str]:
-        """Names of the obstacles that links touched."""
+        """Names of the obstacles that the arm touched."""
         return [each.obstacle for each in self.touched if each.links]
 
 
 @dataclasses.dataclass(frozen=True)
 class Life:
-    """An arm that was unrolled, filled, raised, flown and deflated.
+    """Results of a life cycle of an arm.
 
     Attributes:
-        mission: of the arm with the pressures that it was filled to.
-        phases: in their order.
-        courses: of the gas, by the phase that each begins with.
-        audit: works and impulses along the repeat of the mission.
-        pull: of one muscle at its limit, N, that links must hold.
-        apart: largest difference of an angle of the repeat from the flight, rad.
+        mission: mission of the arm at the pressures to which it was filled.
+        unrolled: simulation of the unrolling.
+        outcome: outcome of the mission.
+        phases: phases in order of time.
+        courses: gas versus time, by the name of the phase.
+        audit: works and impulses of the repeated simulation of the mission.
+        pull: largest pull of one muscle, N, which the links must bear.
+        apart: largest difference between the angles of the flight and of its repetition, rad.
     """
 
     mission: Mission
@@ -128,14 +131,15 @@ class Life:
 
     @property
     def duration(self) -> float:
-        """How long all took, s."""
+        """Duration of all phases, s."""
         return self.phases[-1].end
 
     @property
     def helium(self) -> float:
-        """Largest difference of gas fed and gas in the arm and let out, over what fills the arm.
+        """Largest imbalance of the gas, relative to the gas that fills the arm.
 
-        What is in the arm is known by its pressures and volumes.
+        The imbalance is the difference between the gas that was fed and the sum of the gas in the
+        arm and the gas that was let out. The gas in the arm is computed from pressures and volumes.
         """
         fed = np.cumsum([each.fed for each in self.phases])
         out = np.cumsum([each.let_out for each in self.phases])
@@ -145,7 +149,7 @@ class Life:
 
     @property
     def energy(self) -> Balance:
-        """Of all phases together, J."""
+        """Energy balance of all phases together, J."""
         names = dict.fromkeys(name for each in self.phases for name in each.energy.works)
         works = {
             name: sum(each.energy.works.get(name, 0.0) for each in self.phases) for name in names
@@ -154,21 +158,24 @@ class Life:
 
     @property
     def momentum(self) -> tuple[_Numbers, Mapping[str, _Numbers]]:
-        """Change of the arm's momentum over the mission and the impulses on it, N s, each (3,)."""
+        """Change of momentum in the mission, and impulses on the arm, N s, each of shape (3,)."""
         found = self.audit
         impulses = {name: np.asarray(each[-1]) for name, each in found.impulses._asdict().items()}
         return np.asarray(found.momentum[-1] - found.momentum[0]), impulses
 
     @property
     def momentum_imbalance(self) -> float:
-        """Largest part of the momentum that no impulse has changed, over all impulses."""
+        """Largest unexplained component of the change of momentum, relative to all impulses."""
         changed, impulses = self.momentum
         off = np.max(np.abs(changed - sum(impulses.values())))
         return float(off / sum(float(np.linalg.norm(each)) for each in impulses.values()))
 
     @property
     def energy_imbalance(self) -> float:
-        """Largest imbalance of a phase over what it exchanged; of the whole, too."""
+        """Largest relative energy imbalance of a phase or of the whole life cycle.
+
+        It is relative to the sum of the magnitudes of the works.
+        """
         every = (*(each.energy for each in self.phases), self.energy)
         return max(abs(each.imbalance) / each.exchanged for each in every if each.exchanged)
 
@@ -180,19 +187,21 @@ def live(
     seed: int = 0,
     on_phase: Callable[[str], None] | None = None,
 ) -> Life:
-    """Unroll an arm, fill it until its links hold, raise it, fly a mission, and deflate it.
+    """Unroll, fill and raise an arm, fly a mission, and deflate the arm.
+
+    The arm is filled until each link can bear the pull of a muscle.
 
     Arguments:
-        mission: whose arm it is; its pressures are those that it was filled to then.
-        unrolling: of that arm; by default as that of `unroll`, whatever the file of the mission
-            states (`Unrolling.from_section` reads that).
-        seed: as of `Mission.fly`.
-        on_phase: is told what begins.
+        mission: mission of the arm, which is flown with the pressures from the filling.
+        unrolling: unrolling of the arm; by default with the default values of `unroll`, even if the
+            file of the mission gives others (`Unrolling.from_section` reads those).
+        seed: seed, as in `Mission.fly`.
+        on_phase: function that is called with the name of each phase at its start.
 
     Raises:
-        InputError: as of `unroll`; an unrolling of another arm; one that is never full, or whose
-            links never hold a muscle; what is not balanced (`check_audited`); or a motion that
-            could not be followed.
+        InputError: as in `unroll`; the unrolling is of another arm; the arm is never full, or its
+            links never bear the pull of a muscle; an effect is not part of the balances
+            (`check_audited`); or the simulation of the motion failed.
     """
     say = on_phase or (lambda _: None)
     arm = mission.model.arm
@@ -214,7 +223,7 @@ def live(
         )
     pull = muscle_pull(arm)
     filling = made.filling
-    # Links of one bag have the same share of what fills them.
+    # All links of one bag have the same share of the gas that fills them.
     share = filled.gas[0] / np.asarray(filling.gas.density * arm.links.volume)
     _, first = np.unique(filling.bag_of_link, return_index=True)
     begin = gas_at(filling, jnp.asarray(share[first]))
@@ -248,7 +257,7 @@ def live(
     one = as_one_bag(made)
     volumes = filling.volume / jnp.sum(filling.volume)
     rest = gas_at(one.filling, jnp.sum(vented.end.share * volumes)[None])
-    # It is pressed out as fast as it was fed.
+    # Roll up at the speed at which the gas is pressed out as fast as it was fed.
     area = np.pi / 4 * float(jnp.max(arm.links.diameter)) ** 2
     speed = float(filled.flow[0]) / area
     duration = float(made.length) / speed
@@ -259,10 +268,10 @@ def live(
 
 
 def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> GasCourse:
-    """The gas in a phase; what is not said is not done.
+    """Simulate the gas in a phase; `what` gives the attributes of `Handling` that are used.
 
     Raises:
-        InputError: its steps do not come to an end.
+        InputError: the integration failed.
     """
     usual = dict.fromkeys(Handling._fields, 0.0) | {
         "force": -1.0,
@@ -271,7 +280,7 @@ def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> Ga
     }
     real = jnp.result_type(float)
     handling = Handling(**{k: jnp.asarray(v, real) for k, v in (usual | what).items()})
-    # As in `fill`, 32 bits resolve less.
+    # Single precision does not resolve smaller tolerances, as in `fill`.
     tolerance = jnp.asarray(max(_TOLERANCE, 1e-4 if real == jnp.float32 else 0.0), real)
     found: GasCourse = gas_course(unrolling, handling, begin, tolerance, _TIMES)
     if not bool(found.succeeded):
@@ -284,7 +293,7 @@ def _gas(phase: str, unrolling: Unrolling, begin: GasState, **what: float) -> Ga
 
 @program
 def _height_work(arm: Any, lifted: Array) -> Array:
-    """Work of the lift (kg) of links on the straight arm, J, when it is raised from the level."""
+    """Return the work of the net lift of links, kg, when the straight arm is raised, J."""
     height = pose(arm, jnp.zeros(arm.count)).centre[2]
     return STANDARD_GRAVITY * jnp.sum(lifted * height)
 
@@ -311,7 +320,7 @@ def _phases(
         before: GasState | None = None,
         **other: Any,
     ) -> None:
-        """A phase after the last one; without a course, the gas stays as it is."""
+        """Add a phase after the last one; without a course, the gas does not change."""
         begin = phases[-1].end if phases else 0.0
         facts: dict[str, Any] = {"fed": 0.0, "let_out": 0.0, **other}
         if course is not None:
@@ -363,7 +372,7 @@ def _phases(
     displaced = arm.air.density * course.fullness[-1]
     lifted = displaced - filling.gas.density * course.share[-1][here]
     risen = float(_height_work(arm, lifted * arm.links.volume - filling.borne_mass))
-    # Slowly: whoever holds the arm takes what its lift does.
+    # The arm is raised slowly, so the person who holds it absorbs the work of the lift.
     raised = gas_energy(course, before)
     holding = {"raising": -risen}
     raised = Balance(raised.stored - risen, dict(raised.works) | holding)
@@ -371,7 +380,7 @@ def _phases(
     audited = {name: float(each[-1]) for name, each in found.works._asdict().items()}
     flight = Balance(float(found.energy[-1] - found.energy[0]), audited)
     add("mission", float(outcome.times[-1]), flight, touched=outcome.touched)
-    # What the joints still hold is let go, and the arm comes down as it went up.
+    # The energy stored in the joints is released, and the arm is lowered as it was raised.
     given_up = float(found.energy[-1] - found.energy[0])
     lowered = Balance(risen - given_up, {"raising": risen, "let go": -given_up})
     add("lower", RAISING, lowered)
@@ -379,7 +388,7 @@ def _phases(
     add("vent", float(vented.times[-1]), gas_energy(vented, before), course=vented, before=before)
     rolled = courses["roll up"]
     rest = gas_at(as_one_bag(made).filling, rolled.share[0])
-    # With open ports, links come to one pressure first.
+    # The links first reach one pressure through the open ports; the ports lose this energy.
     mixed = float(rolled.stored[0] - vented.stored[1])
     balance = gas_energy(rolled, rest)
     ports = {"ports": balance.works["ports"] + mixed}

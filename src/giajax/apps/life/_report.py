@@ -1,4 +1,4 @@
-"""A life as a table, plain data, a picture and a scene that a page plays."""
+"""Files, figure and scene of a life cycle."""
 
 import dataclasses
 import json
@@ -23,7 +23,7 @@ _Numbers = npt.NDArray[np.float64]
 
 
 def life_files(life: Life) -> dict[str, bytes]:
-    """Numbers and a picture of a life, by the names of `LIFE_FILES`."""
+    """Return the results and a figure of a life cycle, by the names of `LIFE_FILES`."""
     return {
         "life.json": f"{life_json(life)}\n".encode(),
         "life.csv": to_csv(_columns(life)),
@@ -32,7 +32,7 @@ def life_files(life: Life) -> dict[str, bytes]:
 
 
 def _columns(life: Life) -> dict[str, Any]:
-    """A row for each phase; works that it does not have are 0."""
+    """Return the table of the phases; works that do not occur in a phase are 0."""
     phases = life.phases
     names = dict.fromkeys(name for each in phases for name in each.energy.works)
     columns: dict[str, Any] = {"phase": [each.name for each in phases]}
@@ -67,7 +67,7 @@ def _balance(balance: Balance) -> dict[str, Any]:
 
 
 def life_json(life: Life) -> str:
-    """A life as JSON text."""
+    """Return the results of a life cycle as JSON text."""
     made, mission = life.unrolled.unrolling, life.mission
     changed, impulses = life.momentum
     phases = [
@@ -110,7 +110,7 @@ def life_json(life: Life) -> str:
 
 
 def _gas_rows(life: Life) -> dict[str, _Numbers]:
-    """Time, s, and gas, kg, least and largest pressure, Pa, and lift, kg, over the life."""
+    """Return the time, s, gas, kg, least and largest pressure, Pa, and lift, kg, of all phases."""
     filling = life.unrolled.unrolling.filling
     full = np.asarray(filling.full_mass)
     parts: list[tuple[_Numbers, ...]] = []
@@ -135,7 +135,7 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
 
 
 def life_figure(life: Life) -> Figure:
-    """Gas, pressures and lift over the phases, energies of each, and what the mission did."""
+    """Plot the gas and the pressures versus time, the energies, and the works of the mission."""
     title = f"Life cycle of {life.mission.model.arm.count} links: {life.duration / _MINUTE:.1f} min"
     figure = new_figure(10.0, 7.0, title)
     rows = _gas_rows(life)
@@ -162,7 +162,7 @@ def life_figure(life: Life) -> Figure:
 
 
 def _mark(axes: Axes, life: Life) -> None:
-    """Every other phase on grey, and the names of those that are long enough."""
+    """Shade every other phase, and label the phases that are long enough."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.12 * (high - low))
     for index, phase in enumerate(life.phases):
@@ -175,7 +175,7 @@ def _mark(axes: Axes, life: Life) -> None:
 
 
 def _energies(axes: Axes, life: Life) -> None:
-    """What came in, was lost and was stored in each phase."""
+    """Plot the energies that were gained, lost and stored in each phase."""
     places = np.arange(len(life.phases))
     rows = {
         "gained": ([each.energy.gained for each in life.phases], BLUE),
@@ -192,7 +192,7 @@ def _energies(axes: Axes, life: Life) -> None:
 
 
 def _works(axes: Axes, life: Life) -> None:
-    """Works along the mission."""
+    """Plot the works during the mission versus time."""
     colours = iter((BLUE, VERMILLION, GREEN, INK, GREY, "black"))
     for name, row in life.audit.works._asdict().items():
         if np.any(np.asarray(row) != 0):
@@ -202,15 +202,16 @@ def _works(axes: Axes, life: Life) -> None:
     plain(axes, "Work done on the arm during the mission", "time (s)", "J")
 
 
-_FRAMES = 40  # of a phase in which the gas alone changes
-_FLAT = 0.1  # radius of an empty link as it is drawn, over that of a full one
+_FRAMES = 40  # number of frames of a phase without a flight
+_FLAT = 0.1  # drawn radius of an empty link divided by that of a full one
 
 
 def life_show(life: Life) -> Show:
-    """All phases as one scene on one clock, for a page of the viewer.
+    """Return all phases as one scene on one clock, for a page of the viewer.
 
-    While gas moves, links lie on the level of the base, away from the opening; what is rolled is
-    drawn across, as wide as it is. Raising and lowering turn the arm about its base.
+    In the phases of unrolling, filling and deflating, the links lie at the level of the base and
+    point away from the opening. The roll is drawn as a crosswise line with the width of a link.
+    Raising and lowering rotate the straight arm about its base.
     """
     arm = life.mission.model.arm
     flown = arm_scene(motion(life.mission, life.outcome))
@@ -226,7 +227,7 @@ def life_show(life: Life) -> Show:
     straight = (first[1] - first[0]) / np.linalg.norm(first[1] - first[0])
 
     def laid(paid_out: float) -> _Numbers:
-        """Both ends of each link, shape (link, 2, 3)."""
+        """Return both ends of each link, m, shape (link, 2, 3)."""
         begin, end = ends - lengths, np.minimum(ends, paid_out)
         out = np.stack([begin, end], axis=1)[:, :, None] * lying
         roll = paid_out * lying + np.stack([-half, half], axis=1)
@@ -261,7 +262,7 @@ def life_show(life: Life) -> Show:
             rest = 1 - np.asarray(course.times)[row] / float(course.times[-1])
             out = [laid(ends[-1] * (x if rolls else 1.0)) for x in rest]
             add(phase.begin + np.asarray(course.times)[row], out, np.asarray(course.fullness)[row])
-    # A clock that stands still for a moment between two phases.
+    # Remove the duplicate times where one phase ends and the next one begins.
     clock = np.concatenate(times)
     clock, kept = np.unique(clock, return_index=True)
     place = np.concatenate(points)[kept]
@@ -282,7 +283,10 @@ def _some(rows: int) -> npt.NDArray[np.int64]:
 
 
 def _turned(lying: _Numbers, straight: _Numbers, lengths: _Numbers) -> Any:
-    """Both ends of each link of an arm that is turned from one direction to another by a part."""
+    """Return a function of the ends of each link while the arm rotates between two directions.
+
+    Its argument is the completed part of the rotation, from 0 to 1.
+    """
     cosine = float(np.clip(lying @ straight, -1, 1))
     angle = np.arccos(cosine)
     aside = straight - cosine * lying

@@ -1,4 +1,4 @@
-"""A mission: an operator who sees what a camera at the tip shows brings the arm to an opening."""
+"""Fly a mission: bring the arm into an opening with the picture of a camera at the tip."""
 
 from ._cases import Case as Case, Cases as Cases, Tally as Tally, fly_cases as fly_cases
 from ._certificate import (

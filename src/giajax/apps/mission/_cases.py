@@ -1,4 +1,4 @@
-"""Many missions: how often, and how soon, the opening is reached in how much wind."""
+"""Simulation of many missions: frequency and time of success at several wind speeds."""
 
 import dataclasses
 import time
@@ -18,13 +18,16 @@ Found = TypeVar("Found")
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One of many missions.
+    """Result of one of many missions.
 
     Attributes:
-        wind: speed of the air, m/s.
-        reached: after so long, s; None: it was not, for the reason.
-        flattening: of a link at most, m.
-        force: on a link at most, N.
+        wind: wind speed, m/s.
+        seed: seed of the mission.
+        reached: time until the tip was inside, s; None if it failed.
+        reason: reason of the failure; empty if the mission succeeded.
+        flattening: largest flattening of a link, m.
+        force: largest contact force on a link, N.
+        touched: names of the obstacles that the arm touched.
     """
 
     wind: float
@@ -37,7 +40,7 @@ class Case:
 
     @classmethod
     def of(cls, outcome: Outcome, wind: float, seed: int) -> Self:
-        """What came of a mission, in short."""
+        """Return the summary of a mission."""
         force = max((each.force for each in outcome.touched), default=0.0)
         touched = tuple(each.obstacle for each in outcome.touched if each.links)
         came = outcome.reached, outcome.reason, outcome.flattening
@@ -46,24 +49,24 @@ class Case:
 
 @dataclasses.dataclass(frozen=True)
 class Tally:
-    """Missions in air (`wind`) of one speed, m/s."""
+    """Missions (`cases`) at one wind speed (`wind`, m/s)."""
 
     wind: float
     cases: tuple[Case, ...]
 
     @property
     def times(self) -> list[float]:
-        """Until the tip was inside, of those in which it was, s."""
+        """Times until the tip was inside, of the successful missions, s."""
         return [case.reached for case in self.cases if case.reached is not None]
 
     @property
     def inside(self) -> int:
-        """In how many the tip was inside."""
+        """Number of missions in which the tip was inside."""
         return len(self.times)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Between which shares success is, with 95 % (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+        """95 % interval of the probability of success (Wilson, J. Am. Stat. Assoc. 22, 1927)."""
         count, square, share = len(self.cases), 1.959964**2, self.inside / len(self.cases)
         middle = share + square / (2 * count)
         half = np.sqrt(square * (share * (1 - share) / count + square / (4 * count**2)))
@@ -72,7 +75,7 @@ class Tally:
 
     @property
     def quartiles(self) -> tuple[float, float, float] | None:
-        """Of the times, s; None where there is none."""
+        """Quartiles of the times to success, s; None if no mission succeeded."""
         if not self.times:
             return None
         low, middle, high = np.percentile(self.times, [25, 50, 75])
@@ -80,33 +83,33 @@ class Tally:
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How often it failed for each reason, the most frequent first."""
+        """Number of failures for each reason, the most frequent first."""
         failed = Counter(case.reason for case in self.cases if case.reached is None)
         return dict(failed.most_common())
 
     @property
     def touched(self) -> int:
-        """In how many something was touched."""
+        """Number of missions in which the arm touched an obstacle."""
         return sum(bool(case.touched) for case in self.cases)
 
     @property
     def flattening(self) -> float:
-        """Of any link at most, m."""
+        """Largest flattening of a link, m."""
         return max(case.flattening for case in self.cases)
 
     @property
     def force(self) -> float:
-        """On any link at most, N."""
+        """Largest contact force on a link, N."""
         return max(case.force for case in self.cases)
 
 
 @dataclasses.dataclass(frozen=True)
 class Cases:
-    """Many missions.
+    """Results of many missions.
 
     Attributes:
-        cases: in the order of their winds, then of their seeds.
-        seconds: that a case took on a core, on average.
+        cases: results in the order of the wind speeds, then of the seeds.
+        seconds: mean computing time of a mission on one core, s.
     """
 
     cases: tuple[Case, ...]
@@ -114,7 +117,7 @@ class Cases:
 
     @property
     def tallies(self) -> list[Tally]:
-        """What they come to, for each speed of the air."""
+        """Missions grouped by wind speed."""
         winds = dict.fromkeys(case.wind for case in self.cases)
         return [
             Tally(wind, tuple(case for case in self.cases if case.wind == wind)) for wind in winds
@@ -129,16 +132,16 @@ def fly_cases(
     seed: int = 0,
     on_case: Callable[[int, int], object] | None = None,
 ) -> Cases:
-    """Missions of arms and air that are drawn, the same ones for each speed of the air.
+    """Simulate missions of random arms in random gusts, the same ones for each wind speed.
 
-    Ctrl-C ends them: those that were flown are returned.
+    Ctrl-C stops the simulation, and the completed missions are returned.
 
     Arguments:
-        mission: as it is drawn; its `[mission.spread]` says how arms differ from that.
-        winds: speeds of the air, m/s.
-        count: for each of them.
-        seed: of the first; each has the next one.
-        on_case: told how many there are of how many, after each.
+        mission: nominal mission; `[mission.spread]` gives the spread of the arms about it.
+        winds: wind speeds, m/s.
+        count: number of missions per wind speed.
+        seed: seed of the first mission; each further mission uses the next integer.
+        on_case: function that is called after each mission with the completed and the total number.
 
     Raises:
         InputError: `[mission.spread]` has a parameter that the arm does not have.
@@ -163,7 +166,7 @@ def flown_on_all_cores(
     todo: Sequence[Given],
     on_case: Callable[[int, int], object] | None,
 ) -> tuple[Found, ...]:
-    """What comes of each; after Ctrl-C of those that were flown."""
+    """Return the result of each job; after Ctrl-C, only those of the completed jobs."""
     done: list[Found] = []
 
     def job(given: Given) -> Callable[[Tell], Found | None]:

@@ -1,10 +1,11 @@
 """Probability of the success of a mission, from a recording of the arm at rest.
 
-Missions of drawn arms in drawn air begin with the arm at rest, so that what a recording of that
-would show is known of each, and whether it succeeded. A logistic regression of success on a few
-numbers of each rest estimates its probability for what a recording shows: inference by simulations
-without a likelihood, with a regression in place of the posterior (Fearnhead and Prangle, J. R.
-Stat. Soc. B 74 (2012) 419). It depends on how arms and air are drawn.
+Simulated missions with random arms in random wind begin with the arm at rest. For each mission,
+both the recording of its rest and its success are therefore known. A logistic regression of the
+success on a few summary statistics of each rest estimates the probability of success for the
+statistics of a real recording. This is simulation-based (likelihood-free) inference, with a
+regression instead of a posterior (Fearnhead and Prangle, J. R. Stat. Soc. B 74 (2012) 419). The
+probability depends on the distributions of the arms and of the wind.
 """
 
 import dataclasses
@@ -28,41 +29,41 @@ from ._cases import Case, flown_on_all_cores
 from ._controller import AbstractController, Picture, Scene, number
 from ._mission import Mission, Outcome
 
-_SETTLES = 120.0  # s that an arm is in the air before its recording begins
-_SHORTEST, _LONGEST = 30.0, 120.0  # of a recording, s; of a longer one the end
-_BIN, _LATER = 0.5, 2.0  # s of a mean, and between two that are compared
-_MOVES = np.deg2rad(0.5)  # a command that moves by more is no rest
+_SETTLES = 120.0  # simulated time in the wind before a recording begins, s
+_SHORTEST, _LONGEST = 30.0, 120.0  # durations of a recording, s; a longer one is cut to its end
+_BIN, _LATER = 0.5, 2.0  # averaging time, and lag between two means that are compared, s
+_MOVES = np.deg2rad(0.5)  # largest range of a command at rest, rad
 # Standard deviation of the prior of a logistic regression of standardised features, weakly
 # informative (Gelman et al., Ann. Appl. Stat. 2 (2008) 1360).
 _SLOPE = 2.5
-_SMALLEST = 0.01  # deviation of a feature, a logarithm: below it is a constant
-_NEIGHBOURS = 0.2  # s between two rows, so that what differs is noise and not motion
+_SMALLEST = 0.01  # smallest standard deviation by which a feature (a logarithm) is divided
+_NEIGHBOURS = 0.2  # largest distance of rows whose differences are noise rather than motion, s
 FEWEST_CASES = 20
 """Smallest number of missions for a certificate."""
 
-_NEAR = 0.1  # of all missions, those that are shown beside the recording
-_UNLIKE = 0.001  # level of the test for a recording that is unlike the drawn rests
+_NEAR = 0.1  # fraction of the missions that counts as nearest to the recording
+_UNLIKE = 0.001  # significance level of the test whether a recording is unlike the simulated rests
 
 
 class Waiting(AbstractController):
-    """Another controller, which begins after a while: until then the commands stay.
+    """Controller that holds the commands constant for a time, and then uses another controller.
 
     Attributes:
-        controller: which begins with the pictures of then.
-        seconds: before it begins.
+        controller: controller that starts after the waiting time.
+        seconds: waiting time, s.
     """
 
     controller: AbstractController
     seconds: Scalar = number(0.0)
 
     def start(self, scene: Scene, late: int) -> Any:
-        """The memory of the other, and the time."""
+        """Return the memory of the other controller, and the time."""
         return self.controller.start(scene, late), jnp.zeros_like(scene.interval)
 
     def decide(
         self, scene: Scene, memory: Any, picture: Picture, command: Array
     ) -> tuple[Any, Float[Array, " joint"]]:
-        """What the other decides, once it is time."""
+        """Return the decision of the other controller after the waiting time."""
         inner, time = memory
         inner, after = jax.lax.cond(
             time < self.seconds - scene.interval / 2,
@@ -72,18 +73,18 @@ class Waiting(AbstractController):
         return (inner, time + scene.interval), after
 
     def believed(self, scene: Scene, memory: Any) -> Float[Array, "3"]:
-        """As the other does."""
+        """Return the estimate of the other controller."""
         return self.controller.believed(scene, memory[0])
 
 
 @dataclasses.dataclass(frozen=True)
 class Resting:
-    """What a recording of the resting arm shows.
+    """Recording of the arm at rest.
 
     Attributes:
-        channels: their names.
-        bins: their means over each half second, SI; NaN where nothing was recorded.
-        noise: standard deviation of such a mean.
+        channels: names of the channels.
+        bins: mean of each channel over each half second, SI units; NaN where no value was recorded.
+        noise: standard deviation of the noise of such a mean.
     """
 
     channels: tuple[str, ...]
@@ -92,13 +93,14 @@ class Resting:
 
     @classmethod
     def from_run(cls, run: Run, model: ArmModel) -> Self:
-        """Of a run; of its last two minutes where it is longer.
+        """Return the recording of a run; of a longer run, only the last two minutes are used.
 
         Raises:
-            InputError: nothing was measured, a channel that the model of the arm does not show
-                without integrating it, no commands, commands that are not angles, move or are not
-                those of the straight arm, less than half a minute, a channel that was recorded too
-                seldom, or no noise that is stated or can be told from the motion.
+            InputError: the run has no measurements, or a channel that the model of the arm predicts
+                only by integration; it has no commands, or commands that are not angles, that move,
+                or that do not belong to a straight arm; it is shorter than half a minute; a channel
+                has too few samples; or the noise of a channel is not given and cannot be separated
+                from the motion.
         """
         run.require_observations()
         model.prepare(run)
@@ -111,8 +113,8 @@ class Resting:
         for name, row in run.commands.items():
             if Channel.named(name).kind != "joint_command":
                 raise InputError(
-                    f"'{run.name}' is driven by {name}, but a mission by commanded angles: give a "
-                    "run with commanded angles"
+                    f"'{run.name}' is driven by {name}, but a mission is driven by commanded "
+                    "angles: give a run with commanded angles"
                 )
             if np.ptp(row) > _MOVES:
                 raise InputError(
@@ -150,25 +152,28 @@ class Resting:
             if deviation is None:
                 raise InputError(
                     f"{name} of '{run.name}' is sampled too slowly to separate noise from motion: "
-                    "state the noise of the channel in [noise] of the sidecar"
+                    "give the noise of the channel in [noise] of the sidecar"
                 )
             noise[column] = deviation / np.sqrt(np.mean(many[many > 0]))
         found = cls(names, bins, noise)
         seldom = np.isnan(found.shown()).any(axis=0)
         if seldom.any():
             raise InputError(
-                f"{names[int(np.argmax(seldom))]} of '{run.name}' has no two values that are "
-                f"{_LATER:g} s apart: record the channel at a higher sampling rate"
+                f"{names[int(np.argmax(seldom))]} of '{run.name}' does not have two values that "
+                f"are {_LATER:g} s apart: record the channel at a higher sampling rate"
             )
         return found
 
     @property
     def seconds(self) -> float:
-        """How long it lasts, s."""
+        """Duration of the recording, s."""
         return len(self.bins) * _BIN
 
     def like(self, mission: Mission, outcome: Outcome, random: np.random.Generator) -> Self:
-        """What it would be of a mission that begins with so long a rest; NaN where it was lost."""
+        """Return the same recording of a simulated mission after an equally long rest.
+
+        The values are NaN if the simulation failed during the rest.
+        """
         rows = round(_BIN / (outcome.times[1] - outcome.times[0]))
         end = 1 + round((_SETTLES + self.seconds) / _BIN) * rows
         some = slice(end - len(self.bins) * rows, end)
@@ -181,10 +186,14 @@ class Resting:
         return dataclasses.replace(self, bins=np.where(np.isfinite(self.bins), bins, np.nan))
 
     def shown(self) -> Float[np.ndarray, "3 channel"]:
-        """Mean and standard deviation of each channel, and that of its changes over 2 s."""
+        """Return the summary statistics of each channel.
+
+        The rows are the mean, the standard deviation, and the standard deviation of the changes
+        over 2 s.
+        """
         later = round(_LATER / _BIN)
         with warnings.catch_warnings():
-            # A channel of which nothing was recorded.
+            # A channel without recorded values would cause a warning.
             warnings.simplefilter("ignore", RuntimeWarning)
             moves = np.nanstd(self.bins[later:] - self.bins[:-later], axis=0)
             return np.stack([np.nanmean(self.bins, axis=0), np.nanstd(self.bins, axis=0), moves])
@@ -197,7 +206,7 @@ def _shown_by(
     rates: Float[np.ndarray, "row joint"] | None = None,
     times: Float[np.ndarray, " row"] | None = None,
 ) -> Float[np.ndarray, "row channel"]:
-    """Channels of an arm that goes through some rows."""
+    """Return channels of an arm that passes through given rows of angles."""
     still = np.zeros_like(angles)
     times = np.arange(len(angles)) * _BIN if times is None else times
     wind = np.zeros((len(angles), 3))
@@ -207,7 +216,10 @@ def _shown_by(
 
 
 def _noise(times: np.ndarray, values: np.ndarray) -> float | None:
-    """Standard deviation of white noise, by second differences; None where rows are too far off."""
+    """Return the standard deviation of white noise from second differences.
+
+    The result is None if the rows are too far apart.
+    """
     close = times[2:] - times[:-2] < 2 * _NEIGHBOURS
     if not np.any(close):
         return None
@@ -216,11 +228,11 @@ def _noise(times: np.ndarray, values: np.ndarray) -> float | None:
 
 @dataclasses.dataclass(frozen=True)
 class RestedCase:
-    """A mission that was flown after a rest.
+    """Simulated mission after a rest.
 
     Attributes:
-        case: its air and its end, after so long; what it touched, it may have touched at rest.
-        shown: by its rest, as of `Resting.shown`.
+        case: result of the mission; contacts can have occurred during the rest.
+        shown: statistics of its rest, from `Resting.shown`.
     """
 
     case: Case
@@ -236,21 +248,21 @@ def fly_rested(
     seed: int = 0,
     on_case: Callable[[int, int], object] | None = None,
 ) -> tuple[RestedCase, ...]:
-    """Missions of arms and air that are drawn, each after a rest as long as a recording.
+    """Simulate missions of random arms in random wind, each after a rest as long as a recording.
 
-    Ctrl-C ends them: those that were flown are returned.
+    Ctrl-C stops the simulation, and the completed missions are returned.
 
     Arguments:
-        mission: as it is drawn; its `[mission.spread]` says how arms differ from that.
-        resting: the recording, whose channels they show, with its noise.
-        speeds: between which that of the air is drawn, evenly, m/s.
-        count: how many.
-        seed: of the first; each has the next one.
-        on_case: told how many there are of how many, after each.
+        mission: nominal mission; `[mission.spread]` gives the spread of the arms about it.
+        resting: recording, whose channels and noise are simulated.
+        speeds: smallest and largest wind speed of a uniform distribution, m/s.
+        count: number of missions.
+        seed: seed of the first mission; each further mission uses the next integer.
+        on_case: function that is called after each mission with the completed and the total number.
 
     Raises:
-        InputError: `[mission.spread]` has a parameter that the arm does not have, or the opening is
-            where the arm rests.
+        InputError: `[mission.spread]` has a parameter that the arm does not have, or the resting
+            arm is already inside the opening.
     """
     rest = _SETTLES + resting.seconds
     section, stops = mission.section, mission.section.camera_stops_s
@@ -278,17 +290,17 @@ def fly_rested(
 
 @dataclasses.dataclass(frozen=True)
 class Certificate:
-    """The chance of a mission, by a recording of the resting arm.
+    """Probability of success of a mission, given a recording of the arm at rest.
 
     Attributes:
-        chance: to be inside in time.
-        interval: 95 % confidence interval of the chance from the number of missions; the error of
-            the logistic model is not in it.
-        near: the tenth of all missions whose rests were nearest to the recording.
-        unlike: whether the recording is not one of the drawn rests, by Hotelling's test at 0.1 %
-            for normal logarithms.
-        cases: all that were flown.
-        chances: of each of those, by what its own rest shows.
+        chance: probability that the tip is inside in time.
+        interval: 95 % confidence interval of the probability due to the finite number of missions;
+            it does not include the error of the logistic model.
+        near: tenth of all missions whose rests are nearest to the recording.
+        unlike: whether the recording differs from the simulated rests, by Hotelling's test at the
+            level of 0.1 %, for normally distributed logarithms.
+        cases: all missions that were simulated from rest.
+        chances: probability of each of these missions, estimated from its own rest.
     """
 
     chance: float
@@ -300,7 +312,7 @@ class Certificate:
 
     @property
     def air(self) -> tuple[float, float, float]:
-        """Speed of the air in those that looked like it: least, median and largest, m/s."""
+        """Smallest, median and largest wind speed of the missions nearest to the recording, m/s."""
         winds = [case.wind for case in self.near]
         return min(winds), float(np.median(winds)), max(winds)
 
@@ -310,21 +322,21 @@ def certificate(
     shown: Float[np.ndarray, "3 channel"],
     rested: Sequence[RestedCase],
 ) -> Certificate:
-    """The chance of a mission by a recording, and missions that were flown after a rest.
+    """Estimate the probability of success from a recording and missions simulated after a rest.
 
     Arguments:
-        channels: of the recording.
-        shown: by it, as of `Resting.shown`.
-        rested: the missions.
+        channels: channels of the recording.
+        shown: statistics of the recording, from `Resting.shown`.
+        rested: simulated missions.
 
     Raises:
-        InputError: fewer than 20 missions whose rest was followed.
+        InputError: the rest could be simulated in fewer than 20 missions.
     """
     known = [Channel.named(name) for name in channels]
     kinds = [(channel.kind, channel.camera) for channel in known]
     middle = np.nanmedian([each.shown[0] for each in rested], axis=0)
     features = np.array([_features(each.shown, middle, kinds) for each in rested])
-    # Of a motion that was lost at rest nothing is known.
+    # A mission whose simulation failed at rest has no features.
     sound = np.all(np.isfinite(features), axis=1)
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
@@ -343,7 +355,7 @@ def certificate(
     low, chance, high = expit(row @ weights + half * np.array([-1, 0, 1]))
     metric = np.linalg.inv(np.atleast_2d(np.cov(rows.T)) + 1e-6 * np.eye(len(seen)))
     count, free = len(rows), max(len(rows) - len(seen), 1)
-    # Of one more row of as many (Hotelling).
+    # Limit of Hotelling's statistic for one new row.
     most = (
         len(seen)
         * (count**2 - 1)
@@ -365,9 +377,9 @@ def certificate(
 def _features(
     shown: Float[np.ndarray, "3 channel"], middle: Float[np.ndarray, " channel"], kinds: list[Any]
 ) -> Float[np.ndarray, " feature"]:
-    """Of each kind of channel the logarithms of how far it is off, swings and moves on.
+    """Return the logarithms of the deflection, swing and 2 s changes of each kind of channel.
 
-    The middle is that of the means of all missions: where the arm rests in still air.
+    `middle` is the median of the means of all missions, which approximates the rest in still air.
     """
     sizes = np.stack([shown[0] - middle, shown[1], shown[2]])
     found = []
@@ -380,10 +392,10 @@ def _features(
 def _regression(
     features: Float[np.ndarray, "case feature"], inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of a logistic regression, the constant first, and their covariance (Laplace).
+    """Return the weights of a logistic regression, constant first, and their Laplace covariance.
 
-    In their middle there is half a success and half a failure more (Jeffreys' prior of a share), so
-    that it ends where all or none succeed.
+    An additional half success and half failure at the mean of the features (Jeffreys' prior of a
+    proportion) keep the estimate finite if all missions or none succeed.
     """
     features = np.vstack([features, np.zeros(features.shape[1])])
     inside = np.append(inside, 0.5)

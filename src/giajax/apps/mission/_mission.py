@@ -1,4 +1,4 @@
-"""A mission: an arm, who drives it, an opening to go through, and what came of it."""
+"""Mission of an arm: its controller, the opening to enter, its simulation and its outcome."""
 
 import dataclasses
 from collections.abc import Callable
@@ -22,18 +22,23 @@ from ._controller import AbstractController, Opening, Picture, Scene, opening_of
 from ._operator import Operator
 from ._steer import Steering
 
-_WIND_INTERVAL = 1.0  # between two rows of the gusts, s; the wind is linear between them
+_WIND_INTERVAL = 1.0  # interval of the rows of the gusts, s; the wind is interpolated linearly
 
 
 def air(
     section: MissionSection, arm: Arm, times: Float[np.ndarray, " row"], seed: list[int]
 ) -> Float[np.ndarray, "row width"]:
-    """Velocity of the air at each link, m/s, shape (row, 3 link).
+    """Return the velocity of the air at each link, m/s, shape (row, 3 link).
 
-    A level mean flow in a direction that is drawn, and about it gusts that are coherent along the
-    arm where it is straight, so strong that the root mean square of the velocity is the speed.
+    The wind is a horizontal mean flow in a random direction with gusts. The coherence of the gusts
+    is that along the straight arm. The root mean square of the velocity is the wind speed of the
+    mission.
 
-    Random numbers come from the seed.
+    Arguments:
+        section: mission with its wind.
+        arm: arm whose links are exposed to the wind.
+        times: times of the rows, s.
+        seed: seed of the random numbers.
     """
     wind = section.wind
     if wind.speed_m_per_s == 0:
@@ -57,12 +62,13 @@ def air(
 
 
 class Rows(NamedTuple):
-    """What happened, row by row: as of `Outcome`, and what stands here.
+    """Rows of a simulated mission; attributes that are not listed here are as in `Outcome`.
 
     Attributes:
-        state: of the joints and of what sticks, as of `Moment`.
-        pressing: force of obstacles on each link, N.
-        inside: for how long the tip has been inside, s.
+        time: time, s.
+        state: state of the joints and of the contacts, as in `Moment`.
+        pressing: contact force of obstacles on each link, N.
+        inside: time for which the tip has been inside, s.
     """
 
     time: Float[Array, " row"]
@@ -76,12 +82,12 @@ class Rows(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What is to be done, and how it is computed.
+    """Criterion of success of a mission, and tolerance of its simulation.
 
     Attributes:
-        beyond: how far behind its outer face the tip is inside, m.
-        hold: for how long it must be there, s.
-        tolerance: of the motion, as of `Stepper`.
+        beyond: depth behind the outer face from which on the tip counts as inside, m.
+        hold: time for which it must be inside, s.
+        tolerance: tolerance of the integration, as in `Stepper`.
     """
 
     beyond: Scalar
@@ -90,12 +96,13 @@ class Task(NamedTuple):
 
 
 class _Now(NamedTuple):
-    """Where a mission is.
+    """Current state of a mission.
 
     Attributes:
-        pictures: on their way, the oldest first.
-        memory: of the controller.
-        inside: as of `Rows`.
+        moment: current state of the arm.
+        pictures: pictures that have not arrived yet, the oldest first.
+        memory: memory of the controller.
+        inside: time for which the tip has been inside, s.
     """
 
     moment: Moment
@@ -114,10 +121,16 @@ def flight(
     error: Float[Array, "row 4 2"],
     late: int,
 ) -> Rows:
-    """A mission until its end; rows after that are as the last one.
+    """Simulate a mission until its end; later rows repeat the last one.
 
-    Pictures are late by so many intervals, at whose ends there is a row of the wind (m/s), and in
-    each of which the controller sees the corners with an error (px).
+    Arguments:
+        arm: simulated arm.
+        scene: information that the controller has.
+        controller: controller of the arm.
+        task: criterion of success, and tolerance.
+        wind: velocity of the air at the links at the ends of the intervals, m/s.
+        error: error of each corner in the picture of each interval, px; NaN for a lost picture.
+        late: delay of the pictures, in intervals.
     """
     _, camera, opening, interval = scene
     stepper = Stepper(arm, interval, tolerance=task.tolerance)
@@ -129,9 +142,9 @@ def flight(
     def picture(moment: Moment, error: Array) -> Picture:
         view = camera.view(arm, moment.angles)
         found = camera.project_from(view, opening.corners)
-        # From behind the wall its outer face is hidden.
+        # The outer face is hidden from behind the wall.
         seen = camera.sees(found) & (opening.local(view.centre)[0] > 0)
-        # A picture that is lost shows nothing, and not the room either.
+        # A lost picture shows neither the corners nor the room.
         there = jnp.all(jnp.isfinite(error))
         pixels = jnp.where(there, found.pixels + error, 0)
         inside = there & is_inside(moment.angles)
@@ -149,7 +162,7 @@ def flight(
         return _Now(moment, pictures, memory, inside)
 
     def row(now: _Now, given: tuple[Array, Array]) -> tuple[_Now, Rows]:
-        # A motion that is lost would be tried again with ever shorter steps, to no end.
+        # Stop after a failed integration, which would be repeated with ever shorter steps.
         lost = ~jnp.all(jnp.isfinite(now.moment.state))
         done = (now.inside >= task.hold) | lost
         now = jax.lax.cond(done, lambda: now, lambda: advanced(now, *given))
@@ -171,26 +184,27 @@ def flight(
 
     moment = stepper.start(wind=wind[0])
     first = picture(moment, jnp.zeros_like(error[0]))
-    # Until the first picture has arrived there is none.
+    # Before the first picture arrives, no corners are visible.
     none = first._replace(seen=jnp.zeros_like(first.seen), room=jnp.zeros_like(first.room))
     waiting = jax.tree.map(lambda x: jnp.broadcast_to(x, (late + 1, *x.shape)), none)
     now = _Now(moment, waiting, controller.start(scene, late), jnp.zeros_like(interval))
     return jax.lax.scan(row, now, (wind[1:], error))[1]
 
 
-_CHUNK = 64  # rows whose contacts are computed at once
+_CHUNK = 64  # number of rows whose contacts are computed at once
 
 
 @dataclasses.dataclass(frozen=True)
 class Touched:
-    """What an obstacle did to the arm.
+    """Contact of the arm with an obstacle.
 
     Attributes:
+        obstacle: name of the obstacle.
         links: numbers of the links that touched it.
-        duration: of any contact, s.
-        flattening: of a link at most, m.
-        force: on a link at most, N.
-        impulse: of all forces on all links, by their size, N s.
+        duration: total time with contact, s.
+        flattening: largest flattening of a link, m.
+        force: largest force on a link, N.
+        impulse: time integral of the magnitudes of the forces on all links, N s.
     """
 
     obstacle: str
@@ -203,19 +217,21 @@ class Touched:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """What came of a mission.
+    """Outcome of a mission.
 
     Attributes:
-        reached: time from which on the tip was inside, s; None: it was not, for as long as needed.
-        reason: why not; empty where it was.
-        nearest: distance of the tip from the middle of the opening at the least, m.
-        times: of the rows below, s, from 0 until the end of the mission.
-        angles: of the joints, rad.
-        rates: of the joints, rad/s.
+        reached: time from which on the tip was inside, s; None if it was not, or not long enough.
+        reason: reason of the failure; empty if the mission succeeded.
+        nearest: smallest distance of the tip from the middle of the opening, m.
+        touched: contacts with each obstacle.
+        times: times of the rows below, s, from 0 until the end of the mission.
+        angles: angles of the joints, rad.
+        rates: rates of the joints, rad/s.
         command: commanded angles, rad.
         wind: velocity of the air at the links, m/s.
-        tip, believed: where the tip was, and the operator believed the camera to be, m.
-        corners: of the opening that were in the picture.
+        tip, believed: position of the tip, and position of the camera estimated by the
+            controller, m.
+        corners: number of corners of the opening in the picture.
     """
 
     reached: float | None
@@ -233,17 +249,17 @@ class Outcome:
 
     @property
     def flattening(self) -> float:
-        """Of any link at most, m."""
+        """Largest flattening of a link, m."""
         return max((each.flattening for each in self.touched), default=0.0)
 
     @property
     def station(self) -> Float[np.ndarray, "3"]:
-        """Mean place of the tip over the second half of the time, m."""
+        """Mean position of the tip in the second half of the mission, m."""
         return self.tip[len(self.tip) // 2 :].mean(axis=0)
 
     @property
     def swing(self) -> float:
-        """Root mean square of the tip about its station, over the second half of the time, m."""
+        """RMS distance of the tip from its mean position in the second half of the mission, m."""
         away = self.tip[len(self.tip) // 2 :] - self.station
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
@@ -252,7 +268,7 @@ _tip = program(tip_position)
 
 
 def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row width"]) -> Outcome:
-    """What rows of a mission, and the air in it, come to."""
+    """Return the outcome of a mission from its rows and its wind."""
     table: Rows = jax.tree.map(np.asarray, rows)
     held = (table.inside >= mission.section.hold_s) & mission.enters
     end = int(np.argmax(held)) + 1 if held.any() else len(held)
@@ -268,7 +284,7 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     stops = mission.section.camera_stops_s
     fails = reached is None and sound.all()
     if fails and not mission.enters:
-        reason = "the mission was to hold the tip before the opening"
+        reason = "the mission was to hold the tip in front of the opening"
     elif fails and stops is not None and not np.any(table.inside[table.time <= stops] > 0):
         reason = "the camera stopped before the tip was inside"
     return Outcome(
@@ -288,12 +304,12 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
 
 
 def _from_rest(rows: Any, first: np.ndarray | float = 0.0) -> np.ndarray:
-    """Rows with what was before them: the straight arm at rest."""
+    """Return rows preceded by a row of the straight arm at rest."""
     return np.concatenate([np.broadcast_to(first, rows[:1].shape).astype(rows.dtype), rows])
 
 
 def _reason(rows: Rows, sound: bool, nearest: float) -> str:
-    """Why a mission failed, in a few words that many share."""
+    """Return the reason of a failure, in words that can be counted over many missions."""
     if not sound:
         return "the simulation of the motion failed"
     if not np.any(rows.corners >= 2):
@@ -306,7 +322,7 @@ def _reason(rows: Rows, sound: bool, nearest: float) -> str:
 
 
 def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
-    """What obstacles did, from the rows in which something pressed."""
+    """Return the contacts with each obstacle, from the rows with contact forces."""
     if arm.contact is None:
         return ()
     when = np.flatnonzero(np.any(rows.pressing > 0, axis=1))
@@ -315,7 +331,7 @@ def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
     force = np.zeros_like(deep)
     for first in range(0, len(when), _CHUNK):
         some = when[first : first + _CHUNK]
-        # Of one size, so that there is one program.
+        # Pad to one size, so that only one program is compiled.
         padded = np.resize(some, _CHUNK)
         flat, push = _contacts(arm, jnp.asarray(rows.state[padded]))
         deep[first : first + len(some)] = np.asarray(flat)[: len(some)]
@@ -341,7 +357,7 @@ def _contacts(arm: Arm, states: Float[Array, "row part joint"]) -> tuple[Array, 
     return jax.vmap(lambda x: touched(arm, x[0], x[1], x[-rows:] if rows else None))(states)
 
 
-# Between two decisions of an operator, s, and the tolerance of the motion.
+# Interval between two decisions of the controller, s, and tolerance of the integration.
 _INTERVAL, _TOLERANCE = 0.1, 1e-3
 
 
@@ -354,13 +370,16 @@ CONTROLLERS: dict[str, Callable[[MissionSection, ArmModel], AbstractController]]
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """An arm that is to be brought through an opening, or to stay before it.
+    """Mission to bring the tip of an arm into an opening, or to hold it in front of the opening.
 
     Attributes:
-        model: of the arm, with its obstacles and its cameras.
-        controller: who drives it.
-        driver: what files call that.
-        enters: whether the tip shall go in.
+        model: model of the arm, with its obstacles and its cameras.
+        section: `[mission]` table of the file.
+        opening: opening to enter.
+        camera: camera at the tip.
+        controller: controller of the arm.
+        driver: name of the controller in files.
+        enters: whether the tip enters; if False, it stays in front of the opening.
     """
 
     model: ArmModel
@@ -380,24 +399,26 @@ class Mission:
         controller: str = "operator",
         model: ArmModel | None = None,
     ) -> Self:
-        """The mission of a file.
+        """Return the mission of a file.
 
         Arguments:
-            definition: of the file.
-            source: what messages call it.
+            definition: content of the file.
+            source: name of the file in messages.
             controller: one of `CONTROLLERS`.
-            model: of the arm as it is drawn, in place of the file's.
+            model: model of the nominal arm, instead of the one in the file.
 
         Raises:
-            InputError: it has no `[mission]`, no opening, or no camera at the tip of its arm; its
-                arm is too short, or none that mpc can track; an unknown controller.
+            InputError: the file has no `[mission]`, no opening, or no camera at the tip; the arm is
+                too short, or cannot be tracked by mpc; or the controller is unknown.
         """
         if controller not in CONTROLLERS:
             known = ", ".join(CONTROLLERS)
             raise InputError(f"the controller is '{controller}': give one of {known}")
         section = definition.mission
         if section is None:
-            raise InputError(f"{source} has no [mission]: add one (giajax mission --help shows it)")
+            raise InputError(
+                f"{source} has no [mission]: add one (giajax mission --help shows an example)"
+            )
         model = ArmModel.stated_in(definition) if model is None else model
         opening = opening_of(model.arm, section.opening)
         pinholes = model.sensors.camera.pinholes
@@ -426,20 +447,20 @@ class Mission:
         )
 
     def keeping_station(self, seconds: float) -> Self:
-        """The mission that stays before the opening, at the stand-off, until its end.
+        """Return a mission that holds the tip in front of the opening, at the stand-off.
 
         Arguments:
-            seconds: that it lasts.
+            seconds: duration of the mission, s.
 
         Raises:
-            InputError: the controller keeps no station.
+            InputError: the controller cannot hold a position.
         """
         stays = self.controller.keeping_station()
         section = self.section.model_copy(update={"limit_s": seconds})
         return dataclasses.replace(self, section=section, controller=stays, enters=False)
 
     def case(self, seed: int) -> Self:
-        """The mission with another arm: parameters of `[mission.spread]`, which it has, drawn."""
+        """Return the mission with another arm, with random parameters from `[mission.spread]`."""
         stated = self.section.spread or {}
         spread = {present_path(self.model, path): of for path, of in stated.items()}
         values = parameter_values(self.model)
@@ -457,34 +478,34 @@ class Mission:
         return dataclasses.replace(self, model=replace(self.model, drawn))
 
     def driven_by(self, controller: AbstractController) -> Self:
-        """The mission by another controller, which files call by its class."""
+        """Return the mission with another controller; its name in files is that of its class."""
         return dataclasses.replace(self, controller=controller, driver=type(controller).__name__)
 
     def with_model(self, model: ArmModel) -> Self:
-        """The mission with other parameters of its arm and its sensors."""
+        """Return the mission with another model of the arm and its sensors."""
         return dataclasses.replace(self, model=model)
 
     def in_wind(self, speed: float) -> Self:
-        """The mission in air of another speed, m/s."""
+        """Return the mission at another wind speed, m/s."""
         wind = self.section.wind.model_copy(update={"speed_m_per_s": speed})
         return dataclasses.replace(self, section=self.section.model_copy(update={"wind": wind}))
 
     def wind(self, seed: int) -> Float[np.ndarray, "row width"]:
-        """Velocity of the air at the links over time, m/s."""
+        """Return the velocity of the air at the links versus time, m/s."""
         return air(self.section, self.model.arm, self.times, [seed, 2])
 
     @property
     def times(self) -> Float[np.ndarray, " row"]:
-        """Of the decisions, s."""
+        """Times of the decisions, s."""
         return np.arange(round(self.section.limit_s / _INTERVAL) + 1) * _INTERVAL
 
     def fly(self, seed: int = 0, *, drawn: "Mission | None" = None) -> Outcome:
-        """The mission, once.
+        """Simulate the mission once.
 
         Arguments:
-            seed: of the air, and of what the operator sees wrong.
-            drawn: the mission whose arm the operator takes this one's for; itself by default. The
-                arm that mpc takes it for is that with which it was made.
+            seed: seed of the wind and of the errors of the picture.
+            drawn: mission with the nominal arm that the operator assumes; defaults to this mission.
+                The nominal arm of mpc is the arm from which that controller was created.
         """
         section, arm = self.section, self.model.arm
         wind = self.wind(seed)
@@ -492,7 +513,7 @@ class Mission:
         error = section.operator.pixel_px * random.normal(size=(len(wind) - 1, 4, 2))
         if section.camera_stops_s is not None:
             error[self.times[:-1] >= section.camera_stops_s] = np.nan
-        # Who is to stay before the opening is not done by going in.
+        # A mission that holds the tip in front of the opening does not end when the tip is inside.
         numbers = (section.beyond_m, section.hold_s if self.enters else np.inf, _TOLERANCE)
         known = (self if drawn is None else drawn).model.arm
         rows = flight(
@@ -508,16 +529,20 @@ class Mission:
 
 
 def motion(mission: Mission, outcome: Outcome) -> Trajectory:
-    """The motion of the arm, as far as it was followed."""
+    """Return the motion of the arm, up to a failure of the simulation if there was one."""
     sound = int(np.sum(np.cumprod(np.all(np.isfinite(outcome.angles), axis=1))))
     rows = (outcome.times, outcome.angles, outcome.rates, outcome.command, outcome.wind)
     return logged_motion(mission.model.arm, *(each[:sound] for each in rows))
 
 
 def recorded(mission: Mission, outcome: Outcome, *, name: str, origin: str = "") -> Run:
-    """A run of this name that `giajax view` plays and `giajax fit` reads.
+    """Return a mission as a run, which `giajax view` plays and `giajax fit` reads.
 
-    Its sidecar says the origin.
+    Arguments:
+        mission: mission that was simulated.
+        outcome: outcome of the mission.
+        name: name of the run.
+        origin: origin of the data, for the sidecar.
     """
     values = command_columns(outcome.command)
     if np.any(outcome.wind):

@@ -1,4 +1,4 @@
-"""Who drives the arm: commands from what a picture shows, with limits."""
+"""Simulated operator of a mission, who commands the joints from the camera picture."""
 
 import dataclasses
 from typing import NamedTuple, Self
@@ -26,10 +26,10 @@ from ._controller import METRES, AbstractController, Opening, Picture, Scene, nu
 
 
 def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> View:
-    """The view of a camera that sees all corners of an opening: four points of a plane.
+    """Return the pose of a camera that sees all corners of an opening, four points of a plane.
 
-    The homography from the plane to the picture has two axes of the plane and its origin, as the
-    camera has them, as its columns (Zhang, IEEE PAMI 22 (2000) 1330).
+    The columns of the homography from the plane to the picture are two axes of the plane and its
+    origin, in the frame of the camera (Zhang, IEEE PAMI 22 (2000) 1330).
     """
     rays = camera.directions(pixels)
     flat = opening.local(opening.corners)[:, 1:]
@@ -55,22 +55,23 @@ def posed(camera: Pinhole, opening: Opening, pixels: Float[Array, "4 2"]) -> Vie
     return View(opening.centre - axes @ plane[:, 2], axes)
 
 
-# Position, velocity and turn of the camera.
+# Position, velocity and rotation of the camera in the state.
 _PLACE, _SPEED, _TURN = slice(0, 3), slice(3, 6), slice(6, 9)
 
-# Standard deviation of the velocity of a camera that rests, for all that is known, m/s.
+# Initial standard deviation of the velocity of a camera that is assumed to be at rest, m/s.
 _STILL = 0.2
 
-# Corners that have a pose, in place of those that nobody sees.
+# Placeholders for corners that are not visible, from which a pose can be computed.
 _SQUARE = np.array([[100.0, 100.0], [200.0, 100.0], [200.0, 200.0], [100.0, 200.0]])
 
 
 class Sight(NamedTuple):
-    """Where an operator believes the camera to be.
+    """Estimate of the camera by an operator.
 
     Attributes:
-        velocity: m/s.
-        covariance: of position, velocity and turn.
+        view: position and axes of the camera.
+        velocity: velocity of the camera, m/s.
+        covariance: covariance of position, velocity and rotation.
     """
 
     view: View
@@ -79,21 +80,21 @@ class Sight(NamedTuple):
 
 
 class Tracking(eqx.Module):
-    """An extended Kalman filter for the pose of a camera that sees the corners of an opening.
+    """Extended Kalman filter for the pose of a camera that sees the corners of an opening.
 
-    Between pictures the camera drifts on with a velocity that dies away. Where the arm was told to
-    go is a vague observation, too: it is all that there is before the opening comes into view.
+    Between pictures, the camera moves with a decaying velocity. The commanded pose is an additional
+    observation with a large standard deviation, and the only one until the opening comes into view.
 
     Arguments:
         pixel: standard deviation of a corner in the picture, px.
-        acceleration: of the camera, m/s^2 in a square root of a second.
-        persistence: of its velocity, s.
-        turning: of the camera, rad in a square root of a second.
-        astray: how far the camera is from where its commands would have it, m.
-        askew: how far it is turned from there, rad.
-        memory: time over which that is one observation, s.
-        astonishing: distance of a corner from where it was expected, px, at which what was
-            believed is given up for what is seen.
+        acceleration: random-walk intensity of the velocity of the camera, (m/s)/sqrt(s).
+        persistence: decay time of its velocity, s.
+        turning: random-walk intensity of the rotation of the camera, rad/sqrt(s).
+        astray: standard deviation of the camera position about the commanded one, m.
+        askew: standard deviation of the camera rotation about the commanded one, rad.
+        memory: time over which the commanded poses count as one observation, s.
+        astonishing: distance of a corner from its predicted position, px, beyond which the filter
+            restarts from the visible corners.
     """
 
     pixel: Scalar = number(2.0)
@@ -106,14 +107,14 @@ class Tracking(eqx.Module):
     astonishing: Scalar = number(12.0)
 
     def start(self, view: View) -> Sight:
-        """At rest where commands would have the camera."""
+        """Return the initial estimate: at rest in the given view."""
         zero = jnp.zeros_like(view.centre)
         still = jnp.full_like(self.astray, _STILL)
         spread = jnp.stack([self.astray, still, self.askew])
         return Sight(view, zero, jnp.diag(jnp.repeat(spread**2, 3, total_repeat_length=9)))
 
     def later(self, sight: Sight, interval: Scalar) -> Sight:
-        """After a time without a picture, s."""
+        """Return the prediction after an interval without a picture, s."""
         keep = jnp.exp(-interval / self.persistence)
         one = jnp.eye(9, dtype=interval.dtype)
         move = one.at[_PLACE, _SPEED].set(interval * jnp.eye(3, dtype=interval.dtype))
@@ -134,11 +135,18 @@ class Tracking(eqx.Module):
         commanded: View,
         interval: Scalar,
     ) -> Sight:
-        """After a look at a picture: pixels of the opening's corners, and which of them are seen.
+        """Return the estimate after a correction with a picture.
 
-        Commands would have the camera elsewhere; the picture before is an interval (s) old.
+        Arguments:
+            sight: predicted estimate.
+            camera: camera at the tip.
+            opening: opening in the picture.
+            pixels: pixel positions of the corners of the opening, px.
+            seen: whether each corner is visible.
+            commanded: view of the camera for the commanded angles.
+            interval: time since the previous picture, s.
         """
-        # Where the whole opening is in view, and not where it was believed to be, anew from there.
+        # If all corners are visible but far from their predictions, restart from their pose.
         off = camera.project_from(sight.view, opening.corners).pixels - pixels
         lost = jnp.all(seen) & (jnp.max(jnp.abs(off)) > self.astonishing)
         corners = jnp.where(seen[:, None], pixels, jnp.asarray(_SQUARE, pixels.dtype))
@@ -148,7 +156,7 @@ class Tracking(eqx.Module):
         visible = jnp.repeat(seen, 2, total_repeat_length=8)
 
         def expected(change: Array) -> Array:
-            """Pixels, and the pose, after a small change of the state."""
+            """Return the pixels and the pose after a small change of the state."""
             moved = _moved(here, change)
             there = camera.project_from(moved, opening.corners).pixels.reshape(-1)
             askew = sum(
@@ -183,10 +191,11 @@ def _moved(view: View, change: Float[Array, "9"]) -> View:
 
 
 class OperatorMemory(NamedTuple):
-    """What an operator remembers.
+    """Internal state of an operator.
 
     Attributes:
-        blind: for how long the opening was not seen, s.
+        sight: estimate of the camera.
+        blind: time since the opening was last visible, s.
     """
 
     sight: Sight
@@ -194,29 +203,30 @@ class OperatorMemory(NamedTuple):
 
 
 class Operator(AbstractController):
-    """An operator who has the drawing, the commands so far, and a late picture from the tip.
+    """Operator who knows the nominal geometry, past commands and a delayed picture from the tip.
 
-    Until the opening comes into view, and where it has been out of it for too long, joints go to
-    the `approach`. Else the tip is driven to a place before the opening, the nearer to its axis the
-    closer, and through it: joints turn so that the tip would move faster than it is seen to move by
-    a multiple of what is missing, and the camera looks to where it goes. The commanded shape is
-    taken for the arm's: where it really is, and what blows, the operator does not know. Once
-    inside, the operator sees the room, and holds still.
+    Until the opening comes into view, and if it has been out of view for too long, the joints move
+    to the `approach`. Otherwise the tip moves to the axis in front of the opening and then enters,
+    the deeper the nearer it is to the axis. The commanded velocity of the tip is a multiple of the
+    difference between desired and estimated velocity, and the camera is turned towards its aim
+    point. The operator computes with the commanded shape of the arm, and knows neither its true
+    shape nor the wind. When the picture shows the room behind the opening, the commands stop.
 
     Attributes:
         approach: commanded angles from which the opening is in view, rad, shape (joint,).
-        approach_rate: of the joint that turns the most, rad/s.
-        latency: of picture and hand, s.
-        speed: of the tip at most, m/s.
-        largest_rate, largest_angle: of the command of a joint, rad/s and rad.
-        stand_off: distance before the opening at which the tip goes to its axis, m.
-        patience: without a picture of the opening, s.
-        near: distance from the opening's axis within which the tip goes in, m.
-        deep: how far inside it wants to be, m.
-        closing: speed over distance, 1/s.
-        push: how much faster a command moves than what is missing in speed.
-        looking: how fast the camera is turned to where it shall look, 1/s.
-        posture: how fast what the task leaves open goes back to the approach, 1/s.
+        approach_rate: rate of the joint that turns the most on the way to the approach, rad/s.
+        latency: delay of the picture and of the reaction, s.
+        speed: largest speed of the tip, m/s.
+        largest_rate, largest_angle: largest rate and angle of the command of a joint, rad/s, rad.
+        stand_off: distance in front of the opening at which the tip moves to its axis, m.
+        patience: longest time without the opening in view, s.
+        near: distance from the axis of the opening within which the tip enters, m.
+        deep: target depth of the tip inside, m.
+        closing: desired speed divided by the distance from the target, 1/s.
+        push: commanded velocity divided by the missing velocity.
+        looking: rate at which the camera is turned towards its aim point, 1/s.
+        posture: rate at which the redundant degrees of freedom return to the approach, 1/s.
+        tracking: filter that estimates the pose of the camera.
     """
 
     approach: Float[Array, " joint"]
@@ -237,7 +247,7 @@ class Operator(AbstractController):
 
     @classmethod
     def from_section(cls, section: MissionSection, joints: int) -> Self:
-        """Who a `[mission]` says."""
+        """Return the operator of a `[mission]` table."""
         stated = section.operator
         approach = np.zeros(joints)
         for joint, angle in zip(stated.approach.joints, stated.approach.angles_deg, strict=True):
@@ -261,7 +271,7 @@ class Operator(AbstractController):
         )
 
     def start(self, scene: Scene, late: int) -> OperatorMemory:
-        """Where the straight arm has the camera, and nothing seen yet."""
+        """Return the memory for the camera of the straight arm, before any picture."""
         del late
         view = scene.camera.view(scene.arm, jnp.zeros_like(self.approach))
         return OperatorMemory(self.tracking.start(view), self.patience + scene.interval)
@@ -269,7 +279,7 @@ class Operator(AbstractController):
     def decide(
         self, scene: Scene, memory: OperatorMemory, picture: Picture, command: Array
     ) -> tuple[OperatorMemory, Float[Array, " joint"]]:
-        """Commands by what is seen, with the drawn lengths and axes of the arm."""
+        """Return commands from the picture, with the nominal geometry of the arm."""
         interval = scene.interval
         commanded = scene.camera.view(scene.arm, picture.commanded)
         sight = self.tracking.corrected(
@@ -286,19 +296,19 @@ class Operator(AbstractController):
         return OperatorMemory(sight, blind), jnp.where(picture.room, command, after)
 
     def keeping_station(self) -> Self:
-        """The same, at the stand-off."""
+        """Return the same controller with the stand-off as its target."""
         return dataclasses.replace(self, deep=-self.stand_off)
 
     def believed(self, scene: Scene, memory: OperatorMemory) -> Float[Array, "3"]:
-        """The camera of the filter."""
+        """Return the position of the camera estimated by the filter, m."""
         del scene
         return memory.sight.view.centre
 
     def _served(self, arm: Arm, command: Array, task: Float[Array, "6"]) -> Array:
-        """Rates that bring the tip to where the picture says that it should be."""
+        """Return the joint rates that perform a task, by damped least squares."""
         axes = pose(arm, command).axis
         rows = jnp.concatenate([jax.jacfwd(lambda q: tip_position(arm, q))(command), METRES * axes])
-        # What the task leaves open goes back to the shape of the approach.
+        # The redundant degrees of freedom return to the approach.
         easy = self.posture * (self.approach - command)
 
         def turned(free: Array) -> Array:
@@ -307,17 +317,17 @@ class Operator(AbstractController):
             return free * (easy + reached.T @ jnp.linalg.solve(damped, task - reached @ easy))
 
         first = turned(jnp.ones_like(command))
-        # A joint at its limit does not take its part: the others do it all.
+        # The other joints take over the share of a joint at its limit.
         beyond = (jnp.abs(command + first / 2) >= self.largest_angle) & (command * first > 0)
         return turned(jnp.where(beyond, 0, 1).astype(command.dtype))
 
     def _task(self, scene: Scene, sight: Sight) -> Float[Array, "6"]:
-        """Velocity of the tip and turn of the camera that commands shall make, in metres."""
+        """Return the commanded velocity of the tip and scaled turn rate of the camera, m/s."""
         opening, velocity = scene.opening, sight.velocity
         tip = scene.camera.mounted_at(sight.view) + self.latency * velocity
         local = opening.local(tip)
         outside = opening.outside(local, near=self.near, stand_off=self.stand_off, deep=self.deep)
-        # Where it is inside it stays inside.
+        # A tip that is inside stays inside.
         outside = jnp.where(local[0] < -opening.thickness, -self.deep, outside)
         wanted = self.closing * jnp.concatenate([(outside - local[0])[None], -local[1:]])
         wanted = wanted / jnp.maximum(1, safe_norm(wanted) / self.speed)

@@ -1,4 +1,4 @@
-"""A mission as pictures and plain data."""
+"""Figures and files of a mission, of many missions, and of a certificate."""
 
 import dataclasses
 import json
@@ -36,14 +36,14 @@ from ._mission import Mission, Outcome
 
 MISSION_FILES = ("mission.json", "mission.png")
 
-_GROUND = 500.0  # larger than a building, m
-_SHAPES = 6  # shapes of the arm in a picture, from the first to the last
-_LIGHTEST = 0.75  # of the colour map: yellow cannot be seen on white
+_GROUND = 500.0  # size above which a block counts as ground, larger than a building, m
+_SHAPES = 6  # number of shapes of the arm in a figure, including the first and the last
+_LIGHTEST = 0.75  # end of the used part of the colour map: yellow is hard to see on white
 _BENT_MOST = ((BLUE, "-"), (VERMILLION, "--"), (GREEN, "-."), (INK, ":"))
 
 
 def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:
-    """Numbers and a picture of a mission, by the names of `MISSION_FILES`."""
+    """Return the results and a figure of a mission, by the names of `MISSION_FILES`."""
     return {
         "mission.json": f"{mission_json(mission, outcome)}\n".encode(),
         "mission.png": to_png(mission_figure(mission, outcome)),
@@ -51,7 +51,7 @@ def mission_files(mission: Mission, outcome: Outcome) -> dict[str, bytes]:
 
 
 def mission_json(mission: Mission, outcome: Outcome) -> str:
-    """What came of a mission as JSON text."""
+    """Return the results of a mission as JSON text."""
     facts = {
         "reached_s": None if outcome.reached is None else round(outcome.reached, 6),
         "reason": outcome.reason or None,
@@ -77,10 +77,10 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
 
 
 def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
-    """Shapes of the arm from the side and from above, and the way of the tip to the opening."""
+    """Plot the arm from the side and from above, the path of the tip, and the commands."""
     how = f"opening not reached: {outcome.reason}"
     if not mission.enters and np.isfinite(outcome.swing):
-        how = f"tip held before the opening within {outcome.swing:.2f} m"
+        how = f"tip held in front of the opening to within {outcome.swing:.2f} m"
     elif outcome.reached is not None:
         how = f"tip inside after {outcome.reached:.0f} s"
     wind = mission.section.wind.speed_m_per_s
@@ -116,7 +116,7 @@ def _shapes(panel: Axes, mission: Mission, outcome: Outcome, axes: str) -> None:
     panel.set_xlim(low[0] - 1.5, high[0] + 2.5)
     panel.set_ylim(low[1] - 1.5, high[1] + 1.5)
     if scenes:
-        # From above, what is all ground is left white.
+        # Omit the ground from above, where it would fill the panel.
         blocks = [block for block in scenes[0].blocks if axes == "xz" or block.size[0] < _GROUND]
         draw_blocks(panel, blocks, axes=axes)
     outline = corners[[0, 1, 2, 3, 0]]
@@ -157,7 +157,7 @@ def _way(panel: Axes, mission: Mission, outcome: Outcome) -> None:
 
 
 def _commands(panel: Axes, outcome: Outcome) -> None:
-    """Those of the joints that are bent most in colour, the others in grey."""
+    """Plot the commands of the joints that are bent most in colour, and the others in grey."""
     angles = np.rad2deg(outcome.command)
     order = np.argsort(-np.ptp(angles, axis=0), kind="stable")
     most = np.sort(order[: len(_BENT_MOST)])
@@ -175,7 +175,7 @@ CASES_FILES = ("cases.json", "cases.csv", "cases.png")
 
 
 def cases_files(mission: Mission, cases: Cases) -> dict[str, bytes]:
-    """Numbers and a picture of many missions, by the names of `CASES_FILES`."""
+    """Return the results and a figure of many missions, by the names of `CASES_FILES`."""
     return {
         "cases.json": f"{cases_json(mission, cases)}\n".encode(),
         "cases.csv": to_csv(_columns(cases.cases)),
@@ -196,7 +196,7 @@ def _columns(cases: Sequence[Case]) -> dict[str, Any]:
 
 
 def cases_json(mission: Mission, cases: Cases) -> str:
-    """Success and time by speed of the air as JSON text."""
+    """Return the successes and times at each wind speed as JSON text."""
     rows = [
         {
             "wind_m_per_s": tally.wind,
@@ -215,7 +215,7 @@ def cases_json(mission: Mission, cases: Cases) -> str:
 
 
 def cases_figure(mission: Mission, cases: Cases) -> Figure:
-    """Success, and the times that it took, against the speed of the air."""
+    """Plot the probability of success and the times to success versus wind speed."""
     limit = mission.section.limit_s
     figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions")
     share, times = figure.subplots(1, 2)
@@ -245,9 +245,9 @@ CERTIFICATE_FILES = ("certificate.json", "certificate.csv", "certificate.png")
 
 
 def certificate_files(mission: Mission, found: Certificate, **origin: Any) -> dict[str, bytes]:
-    """Numbers and a picture of a certificate, by the names of `CERTIFICATE_FILES`.
+    """Return the results and a figure of a certificate, by the names of `CERTIFICATE_FILES`.
 
-    What else its JSON says is where it comes from.
+    `origin` adds keys to the JSON file that describe the origin of the certificate.
     """
     columns = {**_columns(found.cases), "chance": found.chances.tolist()}
     return {
@@ -258,9 +258,9 @@ def certificate_files(mission: Mission, found: Certificate, **origin: Any) -> di
 
 
 def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str:
-    """The chance of a mission, and what it is taken from, as JSON text."""
+    """Return the probability of a mission and the data behind it as JSON text."""
     section = mission.section.contents()
-    # Each has flown in air of its own speed.
+    # Each mission has its own wind speed.
     wind = {key: one for key, one in section.get("wind", {}).items() if key != "speed_m_per_s"}
     facts = {
         "chance": found.chance,
@@ -279,9 +279,11 @@ def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str
 
 
 def certificate_figure(mission: Mission, found: Certificate) -> Figure:
-    """Missions by the speed of the air and by the chance that their own rest shows."""
+    """Plot the missions by wind speed and by the probability estimated from their own rests."""
     minutes = mission.section.limit_s / 60
-    title = f"Probability that the tip is inside within {minutes:g} min, {mission.driver}"
+    title = (
+        f"Probability that the tip is inside within {minutes:g} min, controller {mission.driver}"
+    )
     figure = new_figure(7.5, 4.2, f"{title}: {100 * found.chance:.0f} %")
     panel = figure.subplots()
     winds = np.array([case.wind for case in found.cases])
@@ -293,7 +295,7 @@ def certificate_figure(mission: Mission, found: Certificate) -> Figure:
         )  # fmt: skip
     low, high = found.interval
     panel.axvspan(
-        100 * low, 100 * high, color=LIGHT, linewidth=0, label="for the recorded arm (95 %)"
+        100 * low, 100 * high, color=LIGHT, linewidth=0, label="recorded arm, 95 % interval"
     )
     panel.axvline(100 * found.chance, color=GREY, linewidth=1.2)
     panel.set_xlim(-2, 102)

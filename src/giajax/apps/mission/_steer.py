@@ -1,10 +1,10 @@
-"""Model predictive control: the tracker's estimate, a plan of half a minute, and its beginning.
+"""Model predictive control of the tip over a horizon of 30 s, from the estimate of the tracker.
 
-Every half second the arm is linearised about the estimate (with the torque of its memory, its air
-and its commands), and rates of the commands are found that bring the tip nearest to where it shall
-be over the next 30 s, within their limits: linear model predictive control with re-linearisation
-(Rawlings, Mayne and Diehl, Model predictive control, 2nd ed. 2017, chapters 1 and 8). The first
-half second of the plan is carried out.
+Every half second, the equation of motion of the arm is linearised about the estimate, which
+includes the hysteretic torque, the wind and the commands. The controller then finds the rates of
+the commands, within their limits, that keep the tip nearest to its reference over the next 30 s.
+This is linear model predictive control with re-linearisation (Rawlings, Mayne and Diehl, Model
+predictive control, 2nd ed. 2017, chapters 1 and 8). The first half second of the plan is executed.
 """
 
 import dataclasses
@@ -24,34 +24,37 @@ from ..wind import first_guess
 from ._controller import METRES, AbstractController, Opening, Picture, Scene, number, within_limits
 from ._operator import Operator
 
-# Lengths of the pieces of a plan, in each of which the rates of all commands are constant, s.
+# Lengths of the intervals (pieces) of a plan, in each of which all rates are constant, s.
 _PIECES = np.array([1, 1, 2, 2, 3, 3, 4, 4, 5, 5])
 _HORIZON = int(_PIECES.sum())
-# Of the quadratic program, which begins with the last plan; from nothing the sum of squares is then
-# within a fifth of the least.
+# Iterations of the quadratic program, which starts from the last plan. If it starts from zero, the
+# sum of squares is within a fifth of its minimum after this number.
 _ITERATIONS = 60
-_RELAXED = 1.6  # of its steps (Boyd et al. 2011, section 3.4.3)
+_RELAXED = 1.6  # over-relaxation of its steps (Boyd et al. 2011, section 3.4.3)
 
-# What is taken for granted of an arm in a mission, for the tracker: its first state, rad and rad/s,
-# how well its stiffness is known, and how much of the air is a mean flow.
+# Assumptions of the tracker about an arm in a mission: standard deviations of the initial angles
+# and rates, rad and rad/s, relative standard deviations of the stiffness, and properties of the
+# wind: mean flow relative to the wind speed, gust intensity, length scale, m, and decay
+# coefficient.
 _AT_REST = np.deg2rad([0.3, 0.05])
 _STIFFNESS = {"joints.pitch_stiffness": 0.2, "joints.yaw_stiffness": 0.2}
 _MEAN, _INTENSITY, _LENGTH_SCALE, _DECAY = 0.3, 2.0, 2.0, 12.0
-# Of an arm that remembers and leans on things, of which the tracker knows little.
+# Factor of the usual disturbance torque, because the tracker does not know the contacts of the arm
+# and knows its hysteresis only roughly.
 _TORQUES = 20.0
-_PLACES = 3  # along the arm, between which gusts are linear
+_PLACES = 3  # number of places along the arm between which gusts are interpolated linearly
 
 
 class SteeringMemory(NamedTuple):
-    """What a steering controller remembers.
+    """Internal state of a steering controller.
 
     Attributes:
-        state: of the arm, the air and the stiffness at the time of the last picture.
-        commands: from the interval before that picture until now, rad, the oldest first.
-        plan: the last one, rates of the commands in each of its pieces, rad/s.
-        blind: for how long the opening was not seen, s.
-        decisions: so far.
-        believed: where the camera was then, m.
+        state: estimate of the arm, the wind and the stiffness at the time of the last picture.
+        commands: commands from the interval before that picture until now, rad, the oldest first.
+        plan: last plan, as the rates of the commands in each piece, rad/s.
+        blind: time since the opening was last visible, s.
+        decisions: number of decisions so far.
+        believed: estimated position of the camera at the time of the last picture, m.
     """
 
     state: Gaussian
@@ -63,11 +66,11 @@ class SteeringMemory(NamedTuple):
 
 
 class _Ahead(NamedTuple):
-    """Where the arm goes in the next half minute, second by second, as a plan has it.
+    """Predicted motion of the arm over the next 30 s, in steps of 1 s, as a function of the plan.
 
     Attributes:
         alone: change of angles and rates without a plan, shape (second, 2 joint).
-        by_plan: its derivatives by the rates of the plan.
+        by_plan: derivatives of this change with respect to the rates of the plan.
     """
 
     alone: Float[Array, "second state"]
@@ -75,37 +78,40 @@ class _Ahead(NamedTuple):
 
 
 class Steering(AbstractController):
-    """Model predictive control of the tip over the estimate of a tracker.
+    """Model predictive control of the tip from the estimate of a tracker.
 
-    The tracker has the drawn arm without obstacles, with angles, rates, memory, a mean flow and
-    gusts, and the stiffness as states; corners of the opening are what it sees. The tip goes
-    towards a place before the opening at a speed, and through it once it is near its axis, so that
-    the arm is as far from one side of the frame as from the other.
+    The tracker uses the nominal arm without obstacles. Its states are angles, rates, hysteresis, a
+    mean flow, gusts and the stiffness. Its measurements are the corners of the opening. The tip
+    moves at a given speed to a point in front of the opening. Near the axis it enters, along a line
+    that keeps the arm in the middle of the frame.
 
-    **Safe state.** Where the opening has not been seen for `patience`, nothing is aimed at any
-    more: the plan is that which brings the commands to the approach with the least swing, and they
-    stay there. The arm then moves with the air, held back by its damping and its stiffness alone.
-    In the opening commands stay as they are. An estimate that is not a number stops all commands at
-    once.
+    **Safe state.** If the opening has been out of view for `patience`, the controller abandons the
+    target: its plans bring the commands to the approach with the least swing, and keep them there.
+    The arm then moves with the air, and only its damping and stiffness restrain it. Inside the
+    opening, all commands are held constant instead. An estimate that is not a number stops all
+    commands immediately.
 
     Attributes:
-        tracked: the arm as the tracker has it.
-        start_at: what is known at the start.
+        tracked: arm as modelled by the tracker.
+        start_at: estimate at the start.
         approach: commanded angles from which the opening is in view, rad.
-        rate_limit, angle_limit: of the command of a joint, rad/s and rad.
+        rate_limit, angle_limit: largest rate and angle of the command of a joint, rad/s and rad.
         pixel: standard deviation of a corner in the picture, px.
-        speed: of the tip towards where it shall be, m/s.
-        stand_off: distance before the opening at which the tip goes to its axis, m.
-        near: distance from the axis within which the tip goes in, m.
-        deep: how far inside it goes, m; negative: it stays so far before the opening.
-        sure: standard deviation of the tip beyond which it does not go in, m.
-        patience: without a picture of the opening, s.
-        tip_weight: of a metre off for a second, squared; the unit of the other weights.
-        stop_weight: of a speed of 1 m/s of the tip at the end of the plan.
-        aim_weight: of the direction of the camera, a radian of which is 2 m.
-        posture_weight: of a radian that a command is off the approach at the end of the plan.
-        rate_weight: of a command that moves by 1 rad/s for a second.
-        every: intervals between two plans.
+        speed: speed of the reference of the tip, m/s.
+        stand_off: distance in front of the opening at which the tip moves to its axis, m.
+        near: distance from the axis within which the tip enters, m.
+        deep: depth to which the tip enters, m; if negative, distance at which it stays in front of
+            the opening.
+        sure: largest standard deviation of the tip position at which it enters, m.
+        patience: longest time without the opening in view, s.
+        tip_weight: weight of a squared tip error of 1 m^2 for 1 s; unit of the other weights.
+        stop_weight: weight of a squared error of the tip velocity of 1 m^2/s^2 at the end of the
+            plan.
+        aim_weight: weight of the direction of the camera, for which one radian equals 2 m.
+        posture_weight: weight of a squared distance of a command from the approach of 1 rad^2 at
+            the end of the plan.
+        rate_weight: weight of a squared rate of a command of 1 rad^2/s^2 for 1 s.
+        every: number of intervals between two plans.
     """
 
     tracked: TrackedArm
@@ -129,19 +135,19 @@ class Steering(AbstractController):
 
     @classmethod
     def from_section(cls, section: MissionSection, model: ArmModel) -> Self:
-        """Who a `[mission]` says, with the arm as it is drawn.
+        """Return the controller of a `[mission]` table, for the nominal arm.
 
         Raises:
-            InputError: an arm that is not tracked.
+            InputError: the tracker does not support the arm.
         """
         by_hand, stated = Operator.from_section(section, model.arm.count), section.steering
-        # Neither what it leans on nor what blows is told.
+        # The controller knows neither the contacts nor the wind.
         air_of_arm: Any = dataclasses.replace(model.arm.air, wind=None, wind_field=None)
         free: Any = dataclasses.replace(model.arm, contact=None, air=air_of_arm)
         model = dataclasses.replace(model, arm=free)
         speed = stated.air_m_per_s
         flow = _MEAN * speed
-        # Drag has no slope about still air: some direction to begin with.
+        # The derivative of the drag is zero in still air, so start with a flow in some direction.
         guess = first_guess((flow, flow, 0.0), _INTENSITY, _LENGTH_SCALE, _DECAY)
         air = Air(guess, flow, places=min(_PLACES, model.arm.count))
         torque = _TORQUES * usual_torque(model)
@@ -162,7 +168,7 @@ class Steering(AbstractController):
         )
 
     def start(self, scene: Scene, late: int) -> SteeringMemory:
-        """The straight arm at rest, in air that is not known."""
+        """Return the memory of a straight arm at rest in an unknown wind."""
         zero = jnp.zeros_like(self.approach)
         return SteeringMemory(
             self.start_at,
@@ -176,7 +182,7 @@ class Steering(AbstractController):
     def decide(
         self, scene: Scene, memory: SteeringMemory, picture: Picture, command: Array
     ) -> tuple[SteeringMemory, Float[Array, " joint"]]:
-        """The estimate by one more picture; a plan where it is time for one; and its beginning."""
+        """Update the estimate with a picture, plan again if due, and apply the plan."""
         again = memory.decisions % self.every == 0
         memory = self.estimate(scene, memory, picture, command)
         plan = jax.lax.cond(
@@ -195,11 +201,11 @@ class Steering(AbstractController):
     def estimate(
         self, scene: Scene, memory: SteeringMemory, picture: Picture, command: Array
     ) -> SteeringMemory:
-        """The memory after one more picture, as of `decide`, with the plan as it was."""
+        """Return the memory after one more picture, with an unchanged plan; see `decide`."""
         commands = jnp.concatenate([memory.commands[1:], command[None]])
         held = _still_air(scene.interval, commands[:2])
         state = moved(memory.state, *self.tracked.moved(memory.state.mean, held))
-        # The first picture that arrives is of the start.
+        # The first picture that arrives was taken at the start.
         begun = memory.decisions > len(commands) - 2
         state = jax.tree.map(lambda new, old: jnp.where(begun, new, old), state, memory.state)
         state = self._corrected(scene, state, picture)
@@ -209,7 +215,7 @@ class Steering(AbstractController):
         return SteeringMemory(state, commands, memory.plan, blind, decisions, view.centre)
 
     def now(self, scene: Scene, memory: SteeringMemory) -> Gaussian:
-        """What the commands since the last picture make of the estimate, which stays as sure."""
+        """Propagate the mean with the commands since the last picture; the covariance is kept."""
 
         def moved_on(vector: Array, given: tuple[Array, Array]) -> tuple[Array, None]:
             command, begun = given
@@ -223,16 +229,16 @@ class Steering(AbstractController):
         return Gaussian(mean, memory.state.root)
 
     def keeping_station(self) -> Self:
-        """The same, at the stand-off."""
+        """Return the same controller with the stand-off as its target."""
         return dataclasses.replace(self, deep=-self.stand_off)
 
     def believed(self, scene: Scene, memory: SteeringMemory) -> Float[Array, "3"]:
-        """The camera at the time of the last picture."""
+        """Return the estimated position of the camera at the time of the last picture, m."""
         del scene
         return memory.believed
 
     def _corrected(self, scene: Scene, state: Gaussian, picture: Picture) -> Gaussian:
-        """The estimate with the corners of a picture, linearised about it and once more."""
+        """Correct the estimate with the corners of a picture, by two linearisations."""
         tracked = self.tracked
 
         def pixels(vector: Array) -> tuple[Array, Array]:
@@ -247,7 +253,7 @@ class Steering(AbstractController):
         for _ in range(2):
             at = after.mean
             slope, shown = jax.jacfwd(pixels, has_aux=True)(at)
-            # A corner behind the camera has no pixel.
+            # A corner behind the camera has no pixel position.
             slope = jnp.where(there[:, None], slope, 0)
             off = jnp.where(there, picture.pixels.reshape(-1) - shown, 0)
             off = off - slope @ (state.mean - at)
@@ -262,13 +268,14 @@ class Steering(AbstractController):
         last: Float[Array, "piece joint"],
         lost: Bool[Array, ""],
     ) -> Float[Array, "piece joint"]:
-        """Rates of the commands in each piece of a plan that begins now, rad/s.
+        """Return the rates of the commands in each piece of a plan that begins now, rad/s.
 
         Arguments:
-            now: what is known of the arm and the air, as of `TrackedArm`.
-            command: so far, rad.
-            last: the plan before.
-            lost: whether it is to lead to the safe state.
+            scene: information from before the start.
+            now: estimate of the arm and the wind, with the states of `TrackedArm`.
+            command: current commands, rad.
+            last: previous plan.
+            lost: whether the plan must lead to the safe state.
         """
         tracked = self.tracked
         arm, rows = tracked.with_parameters(now.mean).arm, tracked.arm_state(now.mean)
@@ -276,7 +283,7 @@ class Steering(AbstractController):
         joints = command.shape[0]
 
         def shown(angles: Array) -> tuple[Array, Array]:
-            """Place of the tip and direction of the camera, in metres."""
+            """Return the position of the tip and the scaled direction of the camera, m."""
             view = scene.camera.view(arm, angles)
             found = jnp.concatenate([tip_position(arm, angles), METRES * view.axes[:, 2]])
             return found, found
@@ -294,14 +301,14 @@ class Steering(AbstractController):
         places = tip[None] + jnp.minimum(self.speed * seconds, far) * towards[None]
         aim = scene.opening.ahead - tip
         aims = jnp.broadcast_to(METRES * aim / safe_norm(aim), places.shape)
-        # What is lost aims at nothing but the approach.
+        # If the opening is lost, the only target is the approach.
         aimed = jnp.where(lost, 0.0, 1.0)
         posture = jnp.where(lost, _SAFE, 1.0) * self.posture_weight
         weights = aimed * jnp.repeat(jnp.stack([self.tip_weight, self.aim_weight]), 3)
 
         angles, by_plan = ahead.alone[:, :joints], ahead.by_plan[:, :joints]
         wanted = jnp.concatenate([places, aims], axis=1) - here[None] - angles @ slope.T
-        # At the end of the plan the tip goes on, or stands still.
+        # At the end of the plan, the tip continues at its speed or is at rest.
         goes_on = aimed * jnp.where(far > self.speed * _HORIZON, self.speed, 0) * towards
         last_rates = rows[1] + ahead.alone[-1, joints:]
         lengths = jnp.asarray(_PIECES, tip.dtype)
@@ -340,15 +347,16 @@ class Steering(AbstractController):
         heading: Float[Array, "3"],
         spread: Scalar,
     ) -> Float[Array, "3"]:
-        """Where the tip shall be: before the opening, or the nearer to its axis the deeper.
+        """Return the target of the tip: in front of the opening, or deeper, nearer to its axis.
 
-        The arm comes in at an angle. So that it keeps clear of the frame, the tip goes to a line
-        beside the axis: where the tip is at its deepest, the middle of what is inside is on it.
+        The arm enters at an angle. To keep clear of the frame, the tip moves along a line beside
+        the axis. At the largest depth, the middle of the part inside is then on the axis.
 
         Arguments:
-            local: the tip, as of `Opening.local`, m.
-            heading: the direction of the last link along the axes of that.
-            spread: standard deviation of the tip, m.
+            opening: opening to enter.
+            local: position of the tip from `Opening.local`, m.
+            heading: direction of the last link along the axes of the opening.
+            spread: standard deviation of the tip position, m.
         """
         beside = jnp.maximum(self.deep, 0) / 2 * heading[1:] / jnp.maximum(-heading[0], 0.5)
         most = opening.half / 2
@@ -357,12 +365,12 @@ class Steering(AbstractController):
             local - line, near=self.near, stand_off=self.stand_off, deep=self.deep
         )
         outside = jnp.where(spread > self.sure, self.stand_off, outside)
-        # Where it is inside it stays inside.
+        # A tip that is inside stays inside.
         outside = jnp.where(opening.holds(local), -self.deep, outside)
         return opening.centre + opening.frame @ line.at[0].set(outside)
 
     def _limits(self, command: Array) -> tuple[Array, Array]:
-        """Of the rates of a plan; in its first piece also by what is left of the angles."""
+        """Return the bounds of the rates; those of the first piece also limit the angles."""
         whole = jnp.broadcast_to(self.rate_limit, (len(_PIECES), *command.shape))
         left = [
             jnp.clip(sign * self.angle_limit - command, -self.rate_limit, self.rate_limit)
@@ -372,8 +380,8 @@ class Steering(AbstractController):
         return low.ravel(), high.ravel()
 
 
-_SAFE = 30.0  # times the weight of the posture, on the way to the safe state
-_PIXELS = 1.5  # of the stated deviation of a corner, as the lens is linearised
+_SAFE = 30.0  # factor of the weight of the posture on the way to the safe state
+_PIXELS = 1.5  # factor of the given standard deviation of a corner, because the lens is linearised
 
 
 def _still_air(interval: Scalar, command: Float[Array, "2 joint"]) -> Held:
@@ -381,7 +389,10 @@ def _still_air(interval: Scalar, command: Float[Array, "2 joint"]) -> Held:
 
 
 def _known_at_first(tracked: TrackedArm, air: Air, values: dict[str, float]) -> Gaussian:
-    """Of the straight arm at rest, in air that is not known; values are those of parameters."""
+    """Return the initial estimate of a straight arm at rest in an unknown wind.
+
+    `values` are the nominal values of the estimated parameters.
+    """
     assert tracked.gusts is not None
     where, joints = tracked.slices(), tracked.joints
     mean, size = np.zeros(tracked.size), np.zeros(tracked.size)
@@ -395,7 +406,7 @@ def _known_at_first(tracked: TrackedArm, air: Air, values: dict[str, float]) -> 
 
 
 def _looked_ahead(arm: Arm, rows: Array, command: Array, wind: Array | None) -> _Ahead:
-    """The motion of half a minute, linearised about the state of the joints, in steps of 1 s."""
+    """Predict the motion over 30 s, linearised about the state of the joints, in steps of 1 s."""
     angles, rates, memory = rows[0], rows[1], rows[2:]
     joints = angles.shape[0]
 
@@ -406,7 +417,8 @@ def _looked_ahead(arm: Arm, rows: Array, command: Array, wind: Array | None) -> 
 
     now = jnp.stack([angles, rates, command])
     slopes, begun = jax.jacfwd(pushed, has_aux=True)(now)
-    # d/dt of how angles and rates differ from those of now, by themselves, the commands and 1.
+    # Time derivatives of the changes of angles and rates since now, as a linear function of these
+    # changes, of the changes of the commands, and of 1.
     flow = jnp.zeros((3 * joints + 1, 3 * joints + 1), angles.dtype)
     flow = flow.at[:joints, joints : 2 * joints].set(jnp.eye(joints, dtype=angles.dtype))
     flow = flow.at[joints : 2 * joints, :-1].set(slopes.reshape(joints, -1))
@@ -415,7 +427,7 @@ def _looked_ahead(arm: Arm, rows: Array, command: Array, wind: Array | None) -> 
     of_state, of_command, alone = jnp.split(step, [2 * joints, 3 * joints], axis=1)
     ends = np.cumsum(_PIECES)
     middle = np.arange(_HORIZON)[:, None] + 0.5
-    # What each piece's rate adds to the commands in the middle of each second.
+    # Contribution of the rate of each piece to the commands in the middle of each second.
     shares = np.clip(middle - (ends - _PIECES)[None], 0, _PIECES[None])
 
     def second(before: _Ahead, share: Array) -> tuple[_Ahead, _Ahead]:
@@ -441,11 +453,11 @@ def box_least_squares(
     start: Float[Array, " x"],
     iterations: int,
 ) -> Float[Array, " x"]:
-    """The least |matrix x - values|^2 with low <= x <= high, in a fixed number of iterations.
+    """Minimise |matrix x - values|^2 with low <= x <= high, in a fixed number of iterations.
 
-    The alternating direction method of multipliers (Boyd et al., Foundations and Trends in Machine
-    Learning 3 (2011) 1): one decomposition, then two products each. What is returned is within the
-    bounds in any case.
+    This is the alternating direction method of multipliers (Boyd et al., Foundations and Trends in
+    Machine Learning 3 (2011) 1), with one matrix factorisation. The result is always within the
+    bounds.
     """
     hessian, slope = matrix.T @ matrix, matrix.T @ values
     penalty = jnp.exp(jnp.mean(jnp.log(jnp.diag(hessian))))

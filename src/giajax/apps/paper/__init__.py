@@ -1,4 +1,4 @@
-"""The figures and tables that the paper derives from its models, made again."""
+"""Reproduction of the figures and tables that the paper derives from its models."""
 
 from ._arm_figures import (
     PRINTED as PRINTED,

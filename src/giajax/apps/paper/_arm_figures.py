@@ -1,4 +1,4 @@
-"""Figs 5 and 19 and table 3 of the paper, and what is not printed of its experiment."""
+"""Figs 5 and 19 and table 3 of the paper, and its inversion for unpublished parameters."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -43,18 +43,18 @@ from ._contenders import (
     times_of,
 )
 
-STARTS_AT = 0.5  # when the base joint begins to bend, s; table 3 begins to compare 9.5 s later
+STARTS_AT = 0.5  # The base joint begins to bend at this time, s. Table 3 starts 9.5 s later.
 _TOLERANCE = 1e-6
 _MAX_STEPS = 20_000
 
-# Without such a number there is no element in the joints.
+# Without these parameters the joints have no hysteretic element.
 _REMEMBERING = {"joints.memory.strength": 0.03, "joints.memory.yield_angle": 0.003}
 
 
 class Unknown(NamedTuple):
-    """A number of the comparison that the paper does not print: its label in tables, and its range.
+    """A quantity of the comparison that the paper does not print: its label and its range.
 
-    The label has the unit of the range, and `unit` is that unit in SI.
+    The label contains the unit of the range. `unit` is the value of that unit in SI.
     """
 
     label: str
@@ -69,9 +69,9 @@ UNKNOWNS = {
     "stiffness": Unknown("arm: pitch stiffness, N m/rad", 1.0, 10.0),
     "damping": Unknown("arm: damping, N m s/rad", 0.005, 0.5),
     "drag": Unknown("arm: C_D", 0.5, 2.0),
-    "strength": Unknown("arm: strength of the joints' memory, N m", 0.003, 0.3),
-    "yield": Unknown("arm: yield angle of the joints' memory, rad", 0.001, 0.03),
-    "reach": Unknown("arm: base angle relative to the model's", 0.5, 1.5),
+    "strength": Unknown("arm: hysteretic joint torque, N m", 0.003, 0.3),
+    "yield": Unknown("arm: yield angle of the hysteretic torque, rad", 0.001, 0.03),
+    "reach": Unknown("arm: base angle relative to that of the model", 0.5, 1.5),
     "angle": Unknown("base joint: angle, deg", 10.0, 60.0, _DEGREE),
     "lasting": Unknown("base joint: duration of the bend, s", 0.25, 6.0),
     "back": Unknown("base joint: time of the return, s", 8.0, 22.0),
@@ -83,12 +83,12 @@ UNKNOWNS = {
 
 
 class Compared(NamedTuple):
-    """What comes out of a comparison.
+    """Result of a comparison.
 
     Attributes:
-        cells: of table 3, %: links 2, 6, 12, 20 with air, then without.
-        nearest: how near to 0 the arm's displacement of each link comes where it is compared, m.
-        crossed: whether it changes its sign there.
+        cells: cells of table 3, %: links 2, 6, 12 and 20 with air, then without air.
+        nearest: smallest absolute displacement of each link of the arm in the compared window, m.
+        crossed: whether that displacement changes its sign in the window.
     """
 
     cells: Float[Array, " cell"]
@@ -97,13 +97,13 @@ class Compared(NamedTuple):
 
 
 def compared_arms(values: Float[Any, " unknown"]) -> Compared:
-    """Table 3 as it would be for one arm and one model, from `UNKNOWNS` in their order, SI.
+    """Return table 3 for one arm and one model, from the values of `UNKNOWNS` in their order, SI.
 
-    The arm is the paper's with joints that remember; the model has none of that, and its C_D
-    or none. Where the arm's displacement passes 0 a term of the concordance has a pole, so that
-    cells are smooth between such parameters and not across them; at a displacement of exactly 0
-    there is no term, and no derivative. Derivatives are in forward mode; cells are NaN where a
-    simulation fails.
+    The arm is the paper's with hysteretic joints. The model has no hysteresis, and is evaluated
+    with its C_D and with C_D = 0. A term of the concordance has a pole where the arm's displacement
+    crosses 0. The cells are therefore smooth functions of the parameters only between such
+    crossings. A sample with a displacement of exactly 0 contributes no term and no derivative.
+    Derivatives are in forward mode. Cells are NaN if a simulation fails.
     """
     known = dict(zip(UNKNOWNS, values, strict=True))
     paper = takeichi_20m()
@@ -133,7 +133,7 @@ def compared_arms(values: Float[Any, " unknown"]) -> Compared:
 def linearised(
     logarithms: Float[Array, " unknown"],
 ) -> tuple[Compared, Float[Array, "cell unknown"]]:
-    """What comes out, and the derivatives of its cells by the logarithms of `UNKNOWNS`."""
+    """Return the comparison and the derivatives of its cells by the logarithms of `UNKNOWNS`."""
 
     def push(tangent: Array) -> tuple[Array, Array, Compared]:
         def cells(at: Array) -> tuple[Array, Compared]:
@@ -150,7 +150,7 @@ def linearised(
 
 @program
 def evaluated(logarithms: Float[Array, " unknown"]) -> Compared:
-    """What comes out at the logarithms of `UNKNOWNS`."""
+    """Return the comparison at the logarithms of `UNKNOWNS`."""
     return compared_arms(jnp.exp(logarithms))
 
 
@@ -164,7 +164,7 @@ def _springs(known: Mapping[str, Array], of: str) -> dict[str, Array]:
 
 
 def _there_and_back(angle: Array, lasting: Array, back: Array, joints: int = 20) -> Signal:
-    """The base joint to an angle, where it stays, and back; its knots may be differentiated."""
+    """Return a command of the base joint to an angle and back, differentiable by its knots."""
     first = jnp.full_like(back, STARTS_AT)
     times = jnp.stack([first, first + lasting, back, back + lasting])
     base = jnp.zeros((4, joints), angle.dtype)
@@ -174,7 +174,7 @@ def _there_and_back(angle: Array, lasting: Array, back: Array, joints: int = 20)
 
 
 def _heights(arm: Arm, command: Signal) -> Float[Array, "sample link"]:
-    """Heights of the compared links where they are compared, m."""
+    """Return the heights of the compared links at the compared times, m."""
     first, last = WINDOW
     rows = np.linspace(first, last, round((last - first) / STEP) + 1)
     tolerance = jnp.asarray(_TOLERANCE)
@@ -197,7 +197,7 @@ def _heights(arm: Arm, command: Signal) -> Float[Array, "sample link"]:
 def _concordance(
     model: Float[Array, "sample link"], experiment: Float[Array, "sample link"]
 ) -> Float[Array, " link"]:
-    """`concordance` of each link, differentiable; as there a sample at exactly 0 has no term."""
+    """Return `concordance` of each link, differentiable; samples at exactly 0 have no term."""
     counts = experiment != 0
     size = jnp.abs(jnp.where(counts, experiment, 1))
     terms = jnp.where(counts, 1 - jnp.abs(model - experiment) / size, 0)
@@ -209,11 +209,11 @@ _SHARED = ("stiffness", "damping", "drag")
 
 @dataclasses.dataclass(frozen=True)
 class Reading:
-    """What is taken to differ between the arm and the paper's model.
+    """An assumption about the differences between the arm and the paper's model.
 
     Attributes:
-        free: names of `UNKNOWNS` that are looked for.
-        shared: names of those that the model has from the arm.
+        free: names of the `UNKNOWNS` that are estimated.
+        shared: names of the unknowns that have the same value in the arm and in the model.
     """
 
     label: str
@@ -221,7 +221,7 @@ class Reading:
     shared: tuple[str, ...] = ()
 
     def spread(self) -> np.ndarray:
-        """Changes of all logarithms by those that are free, shape (unknown, free)."""
+        """Return the matrix from free logarithms to all logarithms, shape (unknown, free)."""
         names = list(UNKNOWNS)
         table = np.zeros((len(names), len(self.free)))
         for column, name in enumerate(self.free):
@@ -231,13 +231,13 @@ class Reading:
         return table
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of the ends of the ranges of what is free, SI, each of shape (free,)."""
+        """Return the logarithms of the ends of the free ranges, SI, each of shape (free,)."""
         free = [UNKNOWNS[name] for name in self.free]
         low = np.log([unknown.lower * unknown.unit for unknown in free])
         return low, np.log([unknown.upper * unknown.unit for unknown in free])
 
     def all(self, free: np.ndarray) -> Array:
-        """All logarithms, of those that are free; of what is neither free nor shared it is 0."""
+        """Return all logarithms from the free ones; those neither free nor shared are 0."""
         return jnp.asarray(self.spread() @ free)
 
 
@@ -250,8 +250,8 @@ READINGS = {
     ),
     "own": Reading("all parameters may differ", tuple(UNKNOWNS)),
 }
-"""Two explanations of the paper's errors: the paper's own, and one in which any parameter may
-differ.
+"""Two explanations of the errors in the paper: the explanation given in the paper, and one in which
+any parameter may differ.
 """
 
 
@@ -259,11 +259,11 @@ SHOWN_LINKS = {6: GREEN, 12: BLUE, 20: VERMILLION}
 STEP_DEG, STEP_AT = 30.0, 0.5
 DURATION, RATE = 25.0, 20.0
 
-AT = (5, 10, 25)  # when the table looks, s
-TOLERANCE = 1e-8  # of the integrator: each curve is then right to 1e-7 m
+AT = (5, 10, 25)  # Times of the values in the table, s.
+TOLERANCE = 1e-8  # Tolerance of the integrator; each curve is then accurate to 1e-7 m.
 _FIG05_SOURCES = Sources(
     printed="the model (20 rigid links, springs, eq. (1) at their centres), length, diameter and "
-    "mass (table 2), the three links; solid lines with air, dotted lines without.",
+    "mass (table 2), and the three links. Solid lines are with air, dotted lines without air.",
     assumed=f"stiffness 3 (pitch) and 30 N m/rad (yaw), damping 0.05 N m s/rad, C_D = 1.2, a step "
     f"of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s: the text gives none of these values.",
     reconstructed="nothing.",
@@ -271,7 +271,10 @@ _FIG05_SOURCES = Sources(
 
 
 def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Times, s, and heights of all links, m, after a step of joint 1 "with" and "without" air."""
+    """Return times, s, and the heights of all links, m, "with" and "without" air.
+
+    The base joint is commanded a step.
+    """
     arm = takeichi_20m()
     arms = {"with": arm, "without": replace(arm, {"air.drag_coefficient": 0.0})}
     command = joint_steps(arm.count, {1: np.deg2rad(STEP_DEG)}, time=STEP_AT)
@@ -284,7 +287,7 @@ def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndar
 
 
 def fig05() -> Reproduced:
-    """Fig. 5, and by how much air changes each curve."""
+    """Fig. 5, with a table of the curves with and without air."""
     times, z = heights()
     headings = ("link", *(f"z at {at} s {air} air, m" for at in AT for air in z))
     rows = []
@@ -311,7 +314,7 @@ def solid_and_dotted(
     colours: Mapping[int, str],
     what: str,
 ) -> None:
-    """Some columns of two tables, of shape (sample, number), against time."""
+    """Plot columns of two tables, each of shape (sample, number), versus time."""
     for number, colour in colours.items():
         solid, dotted = (values[:, number - 1] for values in both)
         panel.plot(times, solid, color=colour, linewidth=1.6, label=f"{what} {number}")
@@ -328,27 +331,27 @@ STAND_IN = (
     "the experiment, whose recordings are not public: rigid bodies simulated by MuJoCo, with drag "
     "along the links (C_D 1.1), added mass coefficient 1, a trim mass of 0.084 kg per link 0.15 m "
     "below the axis, stiffness 2.6 and 30 N m/rad, damping 0.04 N m s/rad, Dahl friction of 0.06 N "
-    "m at 60 N m/rad in each joint, 0.05 m/s of crosswind with gusts of up to 0.2 m/s, and a "
+    "m at 60 N m/rad in each joint, a crosswind of 0.05 m/s with gusts of up to 0.2 m/s, and a "
     "camera at 10 Hz with 20 mm of noise (data/paper)."
 )
 
 _FIG19_SOURCES = Sources(
     printed="the model (eq. (1) at the centres of the links, 0.047 kg each), the base joint that "
     "bends, the four links, and the time window that table 3 compares (grey).",
-    assumed="the base joint bends to 30 deg within 1 s from 0.5 s on, and back from 12 s on; "
-    "stiffness, damping and C_D are fitted. giajax's own model has the stand-in's structure, trim "
-    "and added mass, and its friction is fitted, too. The run is the first of twenty. Without air, "
-    "links swing beyond the range of the panels.",
+    assumed="the base joint bends to 30 deg within 1 s, starting at 0.5 s, and bends back starting "
+    "at 12 s. Stiffness, damping and C_D are fitted. The giajax model has the structure, trim and "
+    "added mass of the stand-in, and its friction is also fitted. The run is the first of twenty. "
+    "Without air, links swing beyond the range of the panels.",
     reconstructed=STAND_IN,
 )
 
 
 def fig19(fits: Fits) -> Reproduced:
-    """Fig. 19, for the first run of the stand-in."""
+    """Fig. 19 for the first run of the stand-in."""
     run = fits.runs[0]
     curves = {name: fits.predicted(name, run) for name in STYLES}
     times = times_of(run)
-    figure = new_figure(10, 6.8, "Fig. 19: models, and a stand-in for the experiment")
+    figure = new_figure(10, 6.8, "Fig. 19: the models and a stand-in for the experiment")
     panels = figure.subplots(2, 2, sharex=True)
     rows = []
     columns = {"time_s": times}
@@ -372,7 +375,7 @@ def fig19(fits: Fits) -> Reproduced:
     headings = ["link"]
     for name in curves:
         headings += [f"{CONTENDERS[name].label}: concordance, %", "RMS error, %"]
-    title = "Fig. 19: the same operation in the models and in the experiment's stand-in"
+    title = "Fig. 19: the same operation in the models and in a stand-in for the experiment"
     table = tuple(headings), tuple(rows), columns
     return Reproduced(title, _FIG19_SOURCES, figure, *table, {"fits": fits.record()})
 
@@ -386,7 +389,7 @@ def _draw(panel: Axes, run: Run, channel: str, curves: dict[str, np.ndarray]) ->
         colour, dashes = STYLES[name]
         line: Any = {"linestyle": dashes, "linewidth": 1.4, "label": CONTENDERS[name].label}
         panel.plot(times, curve, color=colour, **line)
-    # Without air a link goes far beyond the others.
+    # A link without air moves far beyond the range of the others.
     shown = np.concatenate([recorded, curves["with_air"], curves["own"]])
     low, high = float(np.min(shown)), float(np.max(shown))
     margin = 0.25 * (high - low)
@@ -404,14 +407,14 @@ MARKS = {
     "refitted": (GREY, "^"),
     "own": (GREEN, "v"),
 }
-"""A colour for each model, and a marker that distinguishes it in grey print."""
+"""A colour for each model, and a marker that distinguishes the models in greyscale."""
 
 _TABLE3_SOURCES = Sources(
     printed="the definition of the concordance (mean of 1 - |Xm - Xe| / |Xe| every 0.1 s from 10 "
     "to 25 s), the links, and the numbers of the first two rows.",
     assumed="that the displacement is z, and that the paper's model was fitted to the same run "
-    "with which it is compared; samples with Xe exactly 0 are omitted. giajax's own model has the "
-    "stand-in's structure, trim and added mass; its C_D, stiffness, damping and friction are "
+    "with which it is compared. Samples with Xe exactly 0 are omitted. The giajax model has the "
+    "structure, trim and added mass of the stand-in. Its C_D, stiffness, damping and friction are "
     "fitted to another run, in at most twelve iterations.",
     reconstructed=STAND_IN,
 )
@@ -420,7 +423,7 @@ _PLACES = (*(f"link {link}" for link in LINKS), "average")
 
 
 def table3(fits: Fits) -> Reproduced:
-    """Table 3 over all runs of the stand-in, beside the numbers that the paper prints."""
+    """Table 3 for all runs of the stand-in, together with the values printed in the paper."""
     rates = {name: np.empty((len(fits.runs), len(LINKS))) for name in CONTENDERS}
     errors = {name: np.empty_like(rates[name]) for name in CONTENDERS}
     for number, run in enumerate(fits.runs):
@@ -438,7 +441,7 @@ def table3(fits: Fits) -> Reproduced:
         for place, link in enumerate(LINKS)
     ]
     return Reproduced(
-        "Table 3: concordance of models and experiment (a stand-in simulated by MuJoCo)",
+        "Table 3: concordance of the models with a stand-in for the experiment (by MuJoCo)",
         _TABLE3_SOURCES,
         _table3_drawn(rates, errors),
         ("model", "measure, %", *_PLACES),
@@ -449,14 +452,14 @@ def table3(fits: Fits) -> Reproduced:
 
 
 def with_average(values: np.ndarray) -> np.ndarray:
-    """Values of the links, and their average, shape (run, link + 1)."""
+    """Append the average over the links, shape (run, link + 1)."""
     return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 
 
 def _rows(
     rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]
 ) -> tuple[tuple[str, ...], ...]:
-    """The paper's rows, then median and range over the runs."""
+    """Return the paper's rows, then the median and range over the runs."""
     words = {"with_air": "with air", "without_air": "without air"}
     rows = [
         (f"the paper, {words[name]}", "concordance", *map(str, numbers))
@@ -471,9 +474,10 @@ def _rows(
 
 
 def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:
-    """Both measures as errors, so that one logarithmic scale shows 1 % and 3000 %.
+    """Draw both measures as errors, so that one logarithmic scale shows 1 % and 3000 %.
 
-    A concordance, which may be far below 0, is 100 % less a mean error, which may not.
+    A concordance can be far below 0. It equals 100 % minus a mean relative error, which is never
+    negative.
     """
     title = f"Table 3: {len(rates['own'])} runs of a stand-in simulated by MuJoCo"
     figure = new_figure(11, 5.4, title)
@@ -506,7 +510,7 @@ def _offset(name: str) -> float:
 
 
 def _dots(panel: Axes, values: dict[str, np.ndarray]) -> None:
-    """A mark for each run, and a bar at the median."""
+    """Draw a marker for each run and a bar at the median."""
     for name, each in values.items():
         percent = 100 * with_average(each)
         for place, column in enumerate(percent.T):

@@ -1,4 +1,4 @@
-"""The models that are compared with the stand-in of the paper's experiment, and their fits."""
+"""Models that are compared with the stand-in for the paper's experiment, and their fits."""
 
 import dataclasses
 import textwrap
@@ -18,17 +18,17 @@ from ...runtime.arrays import Float
 from ...runtime.text import InputError
 from ...schema.parameters import replace
 
-_LETTERS = 18  # letters of the small print that fit on an inch
+_LETTERS = 18  # Number of letters of the small print per inch.
 
 
 @dataclasses.dataclass(frozen=True)
 class Sources:
-    """Where what a figure shows comes from.
+    """Sources of the contents of a figure.
 
     Attributes:
-        printed: what the paper prints, and is used or compared with.
-        assumed: numbers that the paper does not give.
-        reconstructed: what was made in place of something that is not public.
+        printed: values and equations from the paper that are used or compared.
+        assumed: values that the paper does not give.
+        reconstructed: replacements for data that are not public.
     """
 
     printed: str
@@ -36,20 +36,20 @@ class Sources:
     reconstructed: str
 
     def by_word(self) -> dict[str, str]:
-        """The sentences by the word that they stand under."""
+        """Return the sentences by the heading under which they are printed."""
         words = ("Printed in the paper", "Assumed", "Reconstructed")
         return dict(zip(words, (self.printed, self.assumed, self.reconstructed), strict=True))
 
 
 @dataclasses.dataclass(frozen=True)
 class Reproduced:
-    """A figure or a table of the paper, made again.
+    """A reproduced figure or table of the paper.
 
     Attributes:
-        sources: what of it is printed in the paper, assumed, or reconstructed.
-        figure: the picture, with the sources below it.
-        columns: the numbers of the picture, by a name with its unit, in columns of equal length.
-        facts: further numbers by name, as JSON can hold them.
+        sources: which parts are printed in the paper, assumed, or reconstructed.
+        figure: the figure, with the sources below it.
+        columns: plotted values, by a name with its unit, in columns of equal length.
+        facts: further values by name, in a form that JSON can represent.
     """
 
     title: str
@@ -61,7 +61,7 @@ class Reproduced:
     facts: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Write the sources below the picture, in small print."""
+        """Write the sources below the figure in small print."""
         width = self.figure.get_size_inches()[0]
         lines = [
             textwrap.fill(f"{word}: {text}", round(width * _LETTERS), subsequent_indent="    ")
@@ -72,12 +72,12 @@ class Reproduced:
         )
 
 
-WINDOW = (10.0, 25.0)  # first and last time that table 3 compares, s
-STEP = 0.1  # between two of those times, s
+WINDOW = (10.0, 25.0)  # First and last time that table 3 compares, s.
+STEP = 0.1  # Interval between compared times, s.
 
 
 def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:
-    """Positions of the samples (s) that table 3 compares: every 0.1 s from 10 to 25 s."""
+    """Return the indices of the samples that table 3 compares: every 0.1 s from 10 to 25 s."""
     every = np.linspace(*WINDOW, round((WINDOW[1] - WINDOW[0]) / STEP) + 1)
     rows = np.abs(np.asarray(times)[:, None] - every[None]).argmin(axis=0)
     off = np.abs(times[rows] - every)
@@ -92,11 +92,11 @@ def compared(times: Float[np.ndarray, " sample"]) -> np.ndarray:
 def concordance(
     model: Float[np.ndarray, " sample"], experiment: Float[np.ndarray, " sample"]
 ) -> float:
-    """The paper's concordance rate: the mean of 1 - |Xm - Xe| / |Xe|.
+    """Return the paper's concordance rate: the mean of 1 - |Xm - Xe| / |Xe|.
 
-    It is 1 where model and experiment agree, and has no lower end: where the experiment passes
-    zero a term is as large as you like. Samples at which it is exactly zero, or not measured (NaN),
-    have no term. Displacements are in m.
+    It is 1 if model and experiment agree, and has no lower bound: a term is arbitrarily large where
+    the experiment crosses zero. Samples that are exactly zero or missing (NaN) have no term.
+    Displacements are in m.
     """
     counts = np.isfinite(experiment) & (experiment != 0)
     model, experiment = model[counts], experiment[counts]
@@ -106,7 +106,7 @@ def concordance(
 def relative_error(
     model: Float[np.ndarray, " sample"], experiment: Float[np.ndarray, " sample"]
 ) -> float:
-    """Root mean square of Xm - Xe over that of Xe: 0 where they agree, 1 for a model at rest."""
+    """Return the RMS of Xm - Xe divided by that of Xe: 0 for agreement, 1 for a model at rest."""
     counts = np.isfinite(experiment)
     difference = (model - experiment)[counts]
     return float(np.sqrt(np.mean(difference**2) / np.mean(experiment[counts] ** 2)))
@@ -121,26 +121,26 @@ HEIGHTS = tuple(f"link{link:02d}_z" for link in LINKS)
 PAPERS = ("air.drag_coefficient", "joints.pitch_stiffness", "joints.damping")
 _NO_AIR = {"air.drag_coefficient": 0.0}
 
-# What giajax's own model is told: the stand-in floats, by weights that hang below it at that depth;
-# drag acts along its links; and air moves with them. That its joints remember is what suspects of
-# the paper's model name first; where that starts is a guess.
+# Known properties of the stand-in: it floats, because weights hang below it at this depth, its drag
+# is distributed along the links, and its added mass is nonzero. Joint hysteresis is the first
+# effect that the residuals of the paper's model suggest. Its values are an initial guess.
 _KNOWN = {"air.added_mass_coefficient": 1.0, "buoyancy.trim_depth": 0.15}
 _MEMORY = {"joints.memory.strength": 0.03, "joints.memory.yield_angle": 0.003}
 
-# With memory the cost is rough on a scale far below the noise: later iterations lower it by less
-# than a thousandth, and standard errors are not asked for.
+# With hysteresis the cost is rough on a scale far below the noise: later iterations reduce it by
+# less than a thousandth. Standard errors are not needed.
 _ENOUGH_WITH_MEMORY = 12
 
 
 @dataclasses.dataclass(frozen=True)
 class Contender:
-    """A model that follows a recording.
+    """A model that is fitted to a recording.
 
     Attributes:
-        start: makes the model that its fit starts from.
-        afterwards: parameters that are changed when the fit is done.
-        as_fitted: name of the contender whose fit it shares; "" for one of its own.
-        on_another: whether it is fitted to another run than the one that it is compared with.
+        start: function that returns the initial model of the fit.
+        afterwards: parameters that are changed after the fit.
+        as_fitted: name of the contender whose fit is reused; "" if the model has its own fit.
+        on_another: whether the model is fitted to a run other than the one it is compared with.
     """
 
     label: str
@@ -153,7 +153,7 @@ class Contender:
 
 
 def _papers() -> ArmModel:
-    """Drag at the centres of the links, 0.047 kg each, no memory."""
+    """Return the paper's model: drag at the link centres, 0.047 kg per link, no hysteresis."""
     return ArmModel(takeichi_20m())
 
 
@@ -175,21 +175,21 @@ CONTENDERS: dict[str, Contender] = {
         PAPERS[1:],
     ),
     "own": Contender(
-        "giajax's model, fitted to another run",
+        "the giajax model, fitted to another run",
         _own,
         (*PAPERS, *_MEMORY),
         on_another=True,
         iterations=_ENOUGH_WITH_MEMORY,
     ),
 }
-"""The models by the names that files use."""
+"""The models by the names used in files."""
 
 
 def stand_in(folder: Path) -> list[Run]:
-    """The runs that stand in for the paper's recordings, from `data/paper` of the examples.
+    """Read the runs that stand in for the paper's recordings, from `data/paper` of the examples.
 
-    Only the heights of the paper's links count. The last run is there to be fitted, by models that
-    are compared with the others.
+    Only the heights of the paper's links are used. The last run serves to fit the models that are
+    compared with the other runs.
     """
     runs = [observing(read_run(path), HEIGHTS) for path in sorted(folder.glob("stand_in_*.csv"))]
     if len(runs) < 2:
@@ -200,12 +200,12 @@ def stand_in(folder: Path) -> list[Run]:
 
 
 def times_of(run: Run) -> np.ndarray:
-    """Its sample times, s, shape (sample,); a run of an arm has them."""
+    """Return the sample times, s, shape (sample,); every run of an arm has them."""
     return np.asarray(run.times, dtype=float)
 
 
 class Fits:
-    """Fits of the contenders to runs, each made once; the last run is only fitted."""
+    """Fits of the contenders to runs, each made once; the last run is used only for fits."""
 
     def __init__(self, runs: Sequence[Run], say: Callable[[str], None]) -> None:
         self.runs = tuple(runs[:-1])
@@ -214,14 +214,14 @@ class Fits:
         self._results: dict[tuple[str, str], FitResult] = {}
 
     def result(self, name: str, run: Run) -> FitResult:
-        """The fit of a contender that is to be compared with a run; Ctrl-C ends all of them."""
+        """Return the fit of a contender that is compared with a run; Ctrl-C ends all fits."""
         contender = CONTENDERS[name]
         used = self._other if contender.on_another else run
-        # With air and without it, the paper's model is fitted once.
+        # The paper's model is fitted once, with air, for both contenders that share the fit.
         key = (contender.as_fitted or name, used.name)
         if key not in self._results:
             self._say(f"fitting {contender.label.partition(',')[0]} to {used.name}")
-            # The noise is white, as the sidecars state it: what else is left is no noise.
+            # The sidecars specify white noise: all other residuals are model errors.
             result = fit(
                 contender.start(),
                 used,
@@ -231,19 +231,19 @@ class Fits:
                 check=False,
             )
             if result.status == "interrupted":
-                # A table of a fit that was cut short would look like a whole one.
+                # A table of an incomplete fit would look like that of a complete one.
                 raise KeyboardInterrupt
             self._results[key] = result
         return self._results[key]
 
     def predicted(self, name: str, run: Run) -> dict[str, np.ndarray]:
-        """Heights of the paper's links in a contender, m, by channel."""
+        """Return the predicted heights of the paper's links, m, by channel."""
         model = replace(self.result(name, run).model, CONTENDERS[name].afterwards)
         channels = predict(model, run)
         return {channel: np.asarray(channels[channel]) for channel in HEIGHTS}
 
     def record(self) -> list[dict[str, object]]:
-        """Every fit that was made: to which run, how it ended, and its estimates."""
+        """Return the run, status and estimates of every fit."""
         return [
             {
                 "model": name,

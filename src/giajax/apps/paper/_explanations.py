@@ -1,4 +1,4 @@
-"""What fig. 12 says of its joint: the pair alone, a neck that gives way, or both."""
+"""Explanations of fig. 12: the muscle pair alone, a yielding neck alone, or both."""
 
 import itertools
 import textwrap
@@ -37,8 +37,9 @@ EXPLANATIONS = {
 """Explanations by name: whether the pair may be bistable, and whether the link has a neck."""
 
 SAID = {"largest": (30.0, 2.5), "mean": (11.0, 0.5), "at 13": (30.0, 1.0)}
-"""Values in the paper's text, deg: largest and mean error, and the angle at a command of 13 deg,
-each with its uncertainty (from "about", from the last digit, and from commands in whole degrees).
+"""Values in the paper's text, deg: largest error, mean error, and angle at a command of 13 deg.
+Each value has an uncertainty. It follows from the word "about" for the first value, from the last
+printed digit for the second, and from the commands in whole degrees for the third.
 """
 
 PRESSURES = (1000.0, 1200.0, 1500.0)
@@ -46,8 +47,10 @@ PRESSURES = (1000.0, 1200.0, 1500.0)
 
 
 class Searched(NamedTuple):
-    """What is tried: dry friction of muscles and film, N m, radius and length of the neck, m, and
-    pressure of its gas, Pa.
+    """Grid of the search.
+
+    Friction of muscles and film is in N m, radius and length of the neck are in m, and the pressure
+    of its gas is in Pa.
     """
 
     frictions: Floats = np.linspace(0.0, 0.16, 17)
@@ -57,7 +60,7 @@ class Searched(NamedTuple):
 
     @property
     def necks(self) -> Iterator[Neck]:
-        """All of these necks."""
+        """All necks of the grid."""
         for radius, length in itertools.product(self.radii, self.lengths):
             yield _neck(float(radius), float(length), self.pressure)
 
@@ -67,7 +70,8 @@ def _neck(radius: float, length: float, pressure: float) -> Neck:
     return Neck(**{name: jnp.asarray(value) for name, value in values.items()})
 
 
-_STIFFNESS_AT = np.deg2rad(30.0)  # whose stiffness a spring has that is put for a pair
+# A spring that replaces the muscle pair has the stiffness of the pair at this angle.
+_STIFFNESS_AT = np.deg2rad(30.0)
 
 _COMMANDS = np.arange(-60.0, 61.0)
 _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 601)
@@ -75,12 +79,12 @@ _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 601)
 
 @dataclass(frozen=True)
 class Explained:
-    """An explanation with the parameters that make most of what it is compared with.
+    """An explanation with its best parameters.
 
-    Friction is in N m, and the shape of the neck in m: None where there is none. The predicted
-    angles are those where the paper's history is measured, their offset removed, deg. The least
-    force that stretches the neck on the way is in N: below 0 muscles crush it, and its law does not
-    hold.
+    Friction is in N m, and the dimensions of the neck are in m, or None without a neck. The
+    predicted angles are those at the measured steps of the paper's history, without their offset,
+    deg. The smallest force that stretches the neck during the history is in N. If it is negative,
+    the muscles crush the neck and its law is not valid.
     """
 
     name: str
@@ -92,17 +96,17 @@ class Explained:
 
     @property
     def said(self) -> dict[str, float]:
-        """What the text says of such a loop, deg."""
+        """Values of this loop that the text gives, deg."""
         return _said(self.angles)
 
     @property
     def misfit(self) -> float:
-        """Chi-square of the three numbers of the text."""
+        """Chi-square of the three values of the text."""
         return misfit(self.angles)
 
     @property
     def needs(self) -> str:
-        """Its parameters in words."""
+        """Parameters of the explanation in words."""
         friction = f"friction {self.friction:.3g} N m"
         if self.radius is None or self.length is None:
             return friction
@@ -111,7 +115,7 @@ class Explained:
 
 
 def misfit(angles: Floats) -> float:
-    """Chi-square of the three numbers of the text, by angles where the history is measured, deg."""
+    """Return the chi-square of the text's three values for angles at the measured steps, deg."""
     found = _said(angles)
     return sum(((found[name] - value) / width) ** 2 for name, (value, width) in SAID.items())
 
@@ -120,13 +124,13 @@ def _said(angles: Floats) -> dict[str, float]:
     plan = paper_history()
     aimed = plan.target[plan.measured]
     error = np.abs(angles - aimed)
-    # The larger of both ways: the text has one of them.
+    # The text gives one value only: take the larger one of the two directions.
     at = float(np.max(angles[aimed == 13.0]))
     return {"largest": float(np.max(error)), "mean": float(np.mean(error)), "at 13": at}
 
 
 def _centred(angles: Floats) -> Floats:
-    """Angles where the history is measured, less the offset that makes the mean error least."""
+    """Return the angles at the measured steps, less the offset that minimises the mean error."""
     plan = paper_history()
     seen = angles[..., plan.measured]
     off: Floats = np.median(seen - plan.target[plan.measured], axis=-1, keepdims=True)
@@ -134,13 +138,13 @@ def _centred(angles: Floats) -> Floats:
 
 
 def likelihood(angles: Floats, loop: Floats) -> float:
-    """Logarithm of the likelihood of a loop, with the noise and the offset that make most of it."""
+    """Return the log-likelihood of a loop, maximised over the noise and the offset."""
     return -len(loop) * float(np.log(np.std(loop - angles)))
 
 
 @program
 def _loads(pair: JointPair) -> tuple[Array, Array]:
-    """Torques and compression of a pair, by command and angle."""
+    """Return torques and compression of a pair, by command and angle."""
     command = pair_command(pair, jnp.deg2rad(_COMMANDS))
     angle = jnp.asarray(_ANGLES)
     ahead, none = angle >= 0, jnp.zeros(())
@@ -156,8 +160,9 @@ def _loads(pair: JointPair) -> tuple[Array, Array]:
 def _loops(
     torques: Array, pressed: Array, neck: Neck, frictions: Array, steps: Array
 ) -> tuple[Array, Array]:
-    """Angles by friction and step of the history, rad, and the least force on the neck by friction,
-    N.
+    """Return the angles by friction and step of the history, rad, and the smallest neck force, N.
+
+    The force has one value for each friction.
     """
     angle = jnp.asarray(_ANGLES)
     if neck.radius is not None:
@@ -171,7 +176,7 @@ def _loops(
 
 
 def _tried(name: str, necks: Iterable[Neck], frictions: Floats) -> Iterator[Explained]:
-    """What an explanation predicts with each of these necks and frictions."""
+    """Yield the predictions of an explanation with each of these necks and frictions."""
     bistable, _ = EXPLANATIONS[name]
     pair = JointPair()
     torques, pressed = _loads(pair)
@@ -192,9 +197,10 @@ def _tried(name: str, necks: Iterable[Neck], frictions: Floats) -> Iterator[Expl
 def explained(
     loop: Floats, searched: Searched | None = None
 ) -> dict[str, tuple[Explained, Explained]]:
-    """By explanation, what is nearest to the text and what makes most of a loop.
+    """Return for each explanation the best fit to the text and the best fit to a loop.
 
-    The loop is measured where the paper's history is, deg. Necks that muscles crush are left out.
+    The loop contains the measured steps of the paper's history, deg. Necks that the muscles crush
+    are omitted.
     """
     searched, found = searched or Searched(), {}
     for name, (_, with_neck) in EXPLANATIONS.items():
@@ -207,7 +213,7 @@ def explained(
 
 
 def at_pressure(one: Explained, pressure: float) -> Explained:
-    """The same joint with other gas in its links, Pa."""
+    """Return the same joint with gas at another pressure in its links, Pa."""
     neck = Neck()
     if one.radius is not None and one.length is not None:
         neck = _neck(one.radius, one.length, pressure)
@@ -216,11 +222,11 @@ def at_pressure(one: Explained, pressure: float) -> Explained:
 
 
 def explanations_figure(found: Mapping[str, tuple[Explained, Explained]], loop: Floats) -> Figure:
-    """Loops of the explanations that are nearest to the text, and a loop, against the command."""
+    """Plot the loops that fit the text best, and a simulated loop, versus the command."""
     plan = paper_history()
     aimed = plan.target[plan.measured]
     figure = new_figure(
-        11, 4.2, "One link: explanations fitted to the text of fig. 12; the simulated joint in grey"
+        11, 4.2, "One link: explanations fitted to the text of fig. 12 (simulated joint in grey)"
     )
     panels = figure.subplots(1, len(found), sharey=True)
     for panel, (name, (nearest, _)) in zip(panels, found.items(), strict=True):
@@ -235,11 +241,14 @@ def explanations_figure(found: Mapping[str, tuple[Explained, Explained]], loop: 
 
 
 def collapse_pressure(radius: float, torque: float, compressed: float) -> float:
-    """Pressure below which a tube (m) collapses under a torque (N m) and a compression (N), Pa."""
+    """Return the pressure below which a tube collapses under torque and compression, Pa.
+
+    The radius is in m, the torque in N m and the compression in N.
+    """
     return (torque / radius + compressed) / (np.pi * radius**2)
 
 
 def collapse_radius(pressure: float, torque: float, compressed: float) -> float:
-    """Radius below which a tube at a pressure (Pa) does, m."""
+    """Return the radius (m) below which a tube at a pressure (Pa) collapses under such a load."""
     cubic = np.roots([np.pi * pressure, 0.0, -compressed, -torque])
     return float(np.max(cubic[np.isreal(cubic)].real))

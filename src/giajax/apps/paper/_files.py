@@ -1,4 +1,4 @@
-"""Figures and tables as files: a picture, its numbers as CSV and JSON, and a page of all."""
+"""Files of the reproduced figures and tables: PNG, CSV, JSON, and an HTML page of all."""
 
 import functools
 import html
@@ -29,24 +29,25 @@ FIGURES: dict[str, Callable[[Say, Callable[[], Fits]], Reproduced]] = {
     "table3": lambda say, fits: table3(fits()),
     "table3_inverse": lambda say, fits: table3_inverse(say),
 }
-"""Figures and tables by the names of their files; only `table3 --inverse` makes the last one."""
+"""Figures and tables by the names of their files. Only `table3 --inverse` makes the last one."""
 
 
 def reproduce(
     names: Sequence[str], recordings: Path, *, progress: Say | None = None
 ) -> Iterator[tuple[str, Reproduced]]:
-    """Make figures and tables of the paper again, by the names of `FIGURES`.
+    """Reproduce figures and tables of the paper, by the names of `FIGURES`.
 
-    The runs that stand in for the paper's recordings are in a folder, `data/paper` of a checkout.
+    The folder of recordings contains the runs that stand in for the paper's (`data/paper` of a
+    checkout).
 
     Raises:
-        InputError: a name that there is not, or a folder without those runs.
+        InputError: an unknown name, or a folder without these runs.
     """
     for name in names:
         if name not in FIGURES:
             raise InputError(f"the figure '{name}' does not exist: use one of {', '.join(FIGURES)}")
     say = progress or (lambda text: None)
-    # Fig. 19 and table 3 show the same fits, and most figures need none.
+    # Fig. 19 and table 3 share the same fits, and most figures need no fit.
     fits = functools.cache(lambda: Fits(stand_in(recordings), say))
     return ((name, FIGURES[name](say, fits)) for name in names)
 
@@ -71,16 +72,16 @@ _HEAD = """\
 <title>The paper's figures, reproduced by giajax</title>
 """
 
-_PNG_END = b"IEND\xaeB`\x82"  # how every whole PNG file ends
+_PNG_END = b"IEND\xaeB`\x82"  # Last bytes of every complete PNG file.
 
 
 def reproduced_names(name: str) -> tuple[str, str, str]:
-    """Names of the files of a figure: picture, CSV and JSON."""
+    """Return the file names of a figure: PNG, CSV and JSON."""
     return f"{name}.png", f"{name}.csv", f"{name}.json"
 
 
 def reproduced_record(name: str, shown: Reproduced) -> dict[str, Any]:
-    """What the JSON file of a figure holds."""
+    """Return the contents of the JSON file of a figure."""
     record = {
         "name": name,
         "title": shown.title,
@@ -96,7 +97,7 @@ def reproduced_record(name: str, shown: Reproduced) -> dict[str, Any]:
 
 
 def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
-    """The picture (PNG) and the numbers (CSV, JSON) of a figure, by name of the file."""
+    """Return the PNG, CSV and JSON files of a figure, by file name."""
     record = reproduced_record(name, shown)
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     contents = to_png(shown.figure), to_csv(shown.columns), f"{text}\n".encode()
@@ -104,9 +105,9 @@ def reproduced_files(name: str, shown: Reproduced) -> dict[str, bytes]:
 
 
 def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
-    """What the JSON file of a figure in a folder holds.
+    """Read the contents of the JSON file of a figure in a folder.
 
-    None where one of its files is missing, none of this version's, or not whole.
+    Returns None if one of the files is missing, incomplete, or of another version.
     """
     picture, table, record = (folder / file for file in reproduced_names(name))
     try:
@@ -121,7 +122,7 @@ def stored_record(folder: Path, name: str) -> dict[str, Any] | None:
 
 
 def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
-    """A page (HTML) of figures whose files lie beside it, from their records."""
+    """Return an HTML page of figures, from their records; their files are in the same folder."""
     parts = []
     for shown in records:
         name, title = shown["name"], html.escape(shown["title"])
@@ -141,15 +142,14 @@ def reproduction_page(records: Iterable[Mapping[str, Any]]) -> bytes:
         "<h1>The paper's figures, reproduced by giajax</h1>\n<p>Figures and tables that Takeichi, "
         "Suzumori, Endo and Nabae (<i>Development of a 20-m-long Giacometti arm with balloon body "
         "based on kinematic model with air resistance</i>) derive from their models, reproduced by "
-        f"giajax {__version__}. The text below each figure states what is printed in the paper, "
-        "what is assumed, "
-        "and what is reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
+        f"giajax {__version__}. The text below each figure lists what is printed in the paper, "
+        "what is assumed, and what is reconstructed.</p>\n" + "".join(parts) + "</body></html>\n"
     )
     return with_policy(page.encode())
 
 
 def is_reproduction_page(path: Path) -> bool:
-    """Whether a file is a page that `reproduction_page` made, and no one else's."""
+    """Return whether a file is a page that `reproduction_page` wrote."""
     try:
         return path.read_bytes().startswith(_HEAD.encode())
     except OSError:
@@ -166,7 +166,7 @@ def _table(table: Mapping[str, Any]) -> str:
 
 
 def _rounded(data: Any) -> Any:
-    """Plain data whose numbers have nine digits."""
+    """Round all numbers of plain data to nine digits."""
     if isinstance(data, dict):
         return {key: _rounded(each) for key, each in data.items()}
     if isinstance(data, list):

@@ -1,4 +1,4 @@
-"""Table 3 the other way round: arms for which its eight cells would be as they are printed."""
+"""Inversion of table 3: arms whose eight cells agree with the printed values."""
 
 import dataclasses
 import functools
@@ -31,27 +31,29 @@ Say = Callable[[str], None]
 
 LINKS_COMPARED = 4
 CELLS = np.asarray([float(cell) for row in PRINTED.values() for cell in row[:LINKS_COMPARED]])
-"""The eight printed cells of table 3, %: first with air, then without."""
+"""The eight printed cells of table 3, %: first with air, then without air."""
 
-ROUNDING = 0.5  # cells are printed in whole percent
+ROUNDING = 0.5  # Cells are printed in whole per cent.
 STARTS, POOL, ITERATIONS, SEED = 5, 60, 40, 0
 
-# A step changes no number by more than a factor of e^0.5, and one by a thousandth is the last.
+# A step changes no value by more than a factor of e^0.5. The search ends at a step of 0.001.
 _SOLVER = Marquardt(largest_step=0.5, rtol=0.0, atol=1e-3, distance=1e-4)
 
 
 @dataclasses.dataclass(frozen=True)
 class SearchEnd:
-    """How the search from one start (numbered from 1) ended.
+    """Result of the search from one initial guess (numbered from 1).
 
     Attributes:
-        why: "reached", "minimum" (converged beside the printed cells), "stuck" (no minimum, but no
-            step along these slopes helps), "iterations", "failed" or "interrupted".
-        start: values of `UNKNOWNS` at the beginning, SI, shape (unknown,).
-        end: the same at the end.
-        out: what comes out at the end; all NaN where nothing was evaluated, as what follows.
-        jacobian: of the cells by the logarithms of what is free, % a unit, shape (8, free).
-        checked: the same by differences of the cells.
+        why: "reached", "minimum" (converged, but not to the printed cells), "stuck" (no minimum,
+            but no step along these slopes reduces the error), "iterations", "failed" or
+            "interrupted".
+        start: initial values of `UNKNOWNS`, SI, shape (unknown,).
+        end: final values, SI, shape (unknown,).
+        out: comparison at the end. It and the two items below are NaN if nothing was evaluated.
+        jacobian: derivatives of the cells with respect to the logarithms of the free unknowns, in
+            percentage points per unit, shape (8, free).
+        checked: the same derivatives from finite differences.
     """
 
     reading: str
@@ -66,11 +68,11 @@ class SearchEnd:
 
     @property
     def misfit(self) -> np.ndarray:
-        """Cells that come out less those that are printed, %, shape (8,)."""
+        """Computed minus printed cells, percentage points, shape (8,)."""
         return np.asarray(self.out.cells) - CELLS
 
     def at_bounds(self) -> list[str]:
-        """Names of what is free and lies at an end of its range."""
+        """Return the names of the free unknowns that are at an end of their range."""
         reading = READINGS[self.reading]
         at = dict(zip(UNKNOWNS, np.log(self.end), strict=True))
         return [
@@ -89,14 +91,16 @@ def search(
     seed: int = SEED,
     say: Say = lambda text: None,
 ) -> list[SearchEnd]:
-    """Look for arms from the best of some random ones; how each search ended that had begun.
+    """Search for arms from the best of some random ones, and return the result of each search.
 
-    Ctrl-C ends it; before any search had begun it is passed on.
+    Ctrl-C ends the search. Before the first descent has begun it is passed on.
 
     Arguments:
-        reading: of `READINGS`.
-        pool: from among how many random arms, evenly spread in the logarithms of their ranges.
-        iterations: steps of a search at most.
+        reading: key of `READINGS`.
+        starts: number of descents.
+        pool: number of random arms, uniform in the logarithms of their ranges, from which the
+            starts are chosen.
+        iterations: maximum number of steps of a descent.
     """
     taken = READINGS[reading]
     random = np.random.default_rng(seed)
@@ -116,19 +120,19 @@ def search(
 def _descend(
     reading: str, number: int, start: np.ndarray, iterations: int, say: Say, tell: Tell
 ) -> SearchEnd:
-    """One search, by the solver of every fit."""
+    """Run one descent with the solver that all fits use."""
     taken = READINGS[reading]
     options = dict(zip(("lower", "upper"), map(jnp.asarray, taken.box()), strict=True))
     at, why, tried = jnp.asarray(start), "iterations", 1
     state: Any = None
-    # What comes out, and its derivatives in both ways, where nothing is evaluated.
+    # Placeholders for the comparison and both kinds of derivatives if nothing is evaluated.
     slopes: Any = np.full((len(CELLS), len(taken.free)), np.nan)
     four, checked = slopes[:LINKS_COMPARED, 0], slopes
     out = Compared(slopes[:, 0], four, four > 0)
     blank = jnp.zeros(max(len(CELLS), len(taken.free))), out
     steps = _SOLVER.trials(at, lambda y: _weighed(taken, np.asarray(y)), options, blank)
     try:
-        # The first one evaluates the start.
+        # The first step evaluates the initial guess.
         for tried, each in zip(range(1, iterations + 2), steps, strict=False):
             at, state, end = each
             worst = float(np.max(np.abs(np.asarray(state.aux.cells) - CELLS)))
@@ -160,9 +164,9 @@ def _descend(
 
 
 def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
-    """Residual, Jacobian, R, Q^T r and what came out, as the solver wants them."""
+    """Return residual, Jacobian, R, Q^T r and the comparison in the form the solver expects."""
     out, slopes = linearised(taken.all(at))
-    # Rows of zeros: the solver's R is square, also where there is more to find than was printed.
+    # Rows of zeros keep the solver's R square if there are more unknowns than printed cells.
     missing = max(len(taken.free) - len(CELLS), 0)
     residual = np.pad(np.asarray(out.cells) - CELLS, (0, missing))
     jacobian = np.pad(np.asarray(slopes) @ taken.spread(), ((0, missing), (0, 0)))
@@ -172,7 +176,7 @@ def _weighed(taken: Reading, at: np.ndarray) -> tuple[Any, ...]:
 
 
 def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarray:
-    """The Jacobian once more, by central differences."""
+    """Return the Jacobian from central differences."""
     columns = []
     for change in step * np.eye(len(at)):
         ahead, behind = (evaluated(taken.all(at + sign * change)).cells for sign in (1, -1))
@@ -182,50 +186,50 @@ def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarr
 
 _COLOURS = {"memory": BLUE, "own": VERMILLION}
 
-_WORTH = 0.25  # of a share of a direction that is worth a word
+_WORTH = 0.25  # Smallest component of a direction that is shown.
 
 
 def nearest(ends: Sequence[SearchEnd]) -> SearchEnd:
-    """The search that ended nearest to the printed cells."""
+    """Return the search whose final cells are closest to the printed ones."""
     return min(ends, key=lambda end: np.nan_to_num(rms(end), nan=np.inf))
 
 
 def rms(end: SearchEnd) -> float:
-    """Root mean square of the errors of the cells, percentage points."""
+    """Return the root mean square of the errors of the cells, percentage points."""
     return float(np.sqrt(np.mean(end.misfit**2)))
 
 
 def directions(end: SearchEnd) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values and right singular vectors of the Jacobian at the end of a search.
+    """Return singular values and right singular vectors of the Jacobian at the end of a search.
 
-    Where joints remember, derivatives may be no slopes of the cells: columns that are far
-    from differences are replaced by these. Values are percentage points a unit of the logarithms,
-    shape (8,); rows of shares, shape (free, free), are the directions, of which nothing is known
-    beyond the eighth.
+    Hysteresis can make derivatives differ from the slopes of the cells. Columns that differ much
+    from finite differences are replaced by these. The singular values are in percentage points per
+    unit of the logarithms, shape (8,). The directions are the rows of an array of shape (free,
+    free). The cells contain no information about directions beyond the eighth.
     """
     jacobian = np.where(rough(end), end.checked, end.jacobian)
     if not np.all(np.isfinite(jacobian)):
         count = jacobian.shape[1]
         return np.full(len(CELLS), np.nan), np.full((count, count), np.nan)
     _, sizes, rows = np.linalg.svd(jacobian, full_matrices=True)
-    # The largest share of each is positive.
+    # Choose the sign of each direction so that its largest component is positive.
     return sizes, rows * np.sign(rows[np.arange(len(rows)), np.abs(rows).argmax(axis=1)])[:, None]
 
 
 def rough(end: SearchEnd) -> np.ndarray:
-    """Which derivatives are off from differences by more than a tenth and a point."""
+    """Return which derivatives differ from differences by more than 10 % and by one point."""
     off = np.abs(end.jacobian - end.checked).max(axis=0)
     return np.asarray(off > np.maximum(0.1 * np.abs(end.checked).max(axis=0), 1.0))
 
 
 def in_words(row: np.ndarray, names: Sequence[str]) -> str:
-    """A direction as a product of powers, those with a share that is worth a word."""
+    """Format a direction as a product of powers, without its small components."""
     order = [at for at in np.argsort(-np.abs(row)) if abs(row[at]) >= _WORTH]
     return " ".join(f"{names[at]}^{row[at]:.2f}" for at in order)
 
 
 def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
-    """Singular values of all searches, and the directions of the nearest."""
+    """Plot the singular values of all searches and the directions of the best one."""
     figure = new_figure(11, 5.4, title)
     left, right = figure.subplots(1, 2)
     for end in ends:
@@ -237,7 +241,10 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     for share in (0.1, 1.0):
         left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))
         left.annotate(
-            f"half a percentage point is {share:.0%}", (1, ROUNDING / share), (0, 3), **beside
+            f"half a percentage point for a change of {share:.0%}",
+            (1, ROUNDING / share),
+            (0, 3),
+            **beside,
         )
     left.set_yscale("log")
     plain(left, "singular values (percentage points per factor of e)", "direction")
@@ -260,29 +267,30 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
 
 SOURCES = Sources(
     printed="the eight cells, the definition of the concordance, the paper's model (eq. (1) at the "
-    "centres of the links, 0.047 kg each), and the statement that the prototype's joints do not "
+    "centres of the links, 0.047 kg each), and the remark that the joints of the prototype do not "
     "return to 0.",
-    assumed=f"that the base joint bends at {STARTS_AT:g} s and returns once, at the same "
-    "speed; that the displacement is z; no camera noise and no wind; and the ranges of all "
-    "unknowns (in the table).",
-    reconstructed="the experiment: the paper's arm with joints with memory (Dahl's friction), and, "
-    "in the second reading, also with its own stiffness, damping, C_D and base angle.",
+    assumed=f"that the base joint bends at {STARTS_AT:g} s and returns once, at the same speed, "
+    "that the displacement is z, and that camera noise and wind are absent. The ranges of all "
+    "unknowns are also assumed (see the table).",
+    reconstructed="the experiment: the paper's arm with hysteretic joints (Dahl friction). In the "
+    "second reading, its stiffness, damping, C_D and base angle also differ from those of the "
+    "model.",
 )
 
 _PLACES = tuple(f"link {link}, {air} air, %" for air in ("with", "without") for link in LINKS)
 
 
 def table3_inverse(say: Say = lambda text: None) -> Reproduced:
-    """Arms for which table 3 would be as it is printed, and what its cells say of them.
+    """Find arms for which table 3 is as printed, and the parameters that its cells determine.
 
-    After Ctrl-C the searches that had begun are shown; before any it is passed on.
+    After Ctrl-C the searches that had begun are shown. Before the first one it is passed on.
     """
     ends: list[SearchEnd] = []
     for reading in READINGS:
         try:
             found = search(reading, say=say)
         except KeyboardInterrupt:
-            # What the searches before it found is kept.
+            # Keep the results of the earlier searches.
             break
         ends += found
         if len(found) < STARTS or any(end.why == "interrupted" for end in found):
@@ -291,14 +299,14 @@ def table3_inverse(say: Say = lambda text: None) -> Reproduced:
 
 
 def shown(ends: Sequence[SearchEnd]) -> Reproduced:
-    """How searches ended, as a table and a picture; none was stopped before any had begun."""
+    """Return the results of searches as a table and a figure; raise an error if there are none."""
     if not ends:
         raise KeyboardInterrupt
     reached = sum(end.why == "reached" for end in ends)
     best = nearest(ends)
     title = (
         f"Inversion of table 3: {reached or 'none'} of {len(ends)} searches reach the eight "
-        f"printed cells; the best one has an RMS error of {rms(best):.1f} percentage points"
+        f"printed cells, and the best RMS error is {rms(best):.1f} percentage points"
     )
     return Reproduced(
         title,

@@ -39,19 +39,20 @@ STEP_FOR = 1.0
 
 _FIG06_SOURCES = Sources(
     printed="the computation of two pressures from a commanded angle, and of the torque from these "
-    "(fig. 6 and eqs (2) to (11)), 0.3 N m of co-contraction, alpha and beta, and the arm of table "
-    "2.",
+    "pressures (fig. 6 and eqs (2) to (11)), a co-contraction torque of 0.3 N m, alpha and beta, "
+    "and the arm of table 2.",
     assumed=f"the joint's geometry, the law of the muscles, alpha and beta blended over 1{DEGREE} "
     f"about 0, springs of the pair's stiffness at {STEP_DEG:g}{DEGREE}, C_D = 1.2, damping 0.05 N "
-    f"m s/rad, joint 1 commanded to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, all others to 0.",
+    f"m s/rad, joint 1 commanded to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, and all other "
+    "joints commanded to 0.",
     reconstructed="nothing.",
 )
 
 
 def motions() -> tuple[Trajectory, Trajectory, JointPair]:
-    """Motions of the arm with muscles and of that with springs, and the pair of each joint.
+    """Return the motions of the arm with muscles and of the arm with springs, and the muscle pair.
 
-    The one is driven by the pressures of the controller, the other by the angles that it was told.
+    The first arm is driven by the pressures of the controller, the second by the commanded angles.
     """
     arm = takeichi_20m(muscles="pitch")
     assert arm.pneumatics is not None
@@ -70,7 +71,7 @@ def motions() -> tuple[Trajectory, Trajectory, JointPair]:
 
 
 def fig06() -> Reproduced:
-    """The arm by pressures beside the arm with springs, and where its joints may rest."""
+    """Fig. 6: the arm driven by pressures, the arm with springs, and the stable joint angles."""
     driven, sprung, pair = motions()
     by_pressure, by_spring = np.rad2deg(driven.angles), np.rad2deg(sprung.angles)
     supplied = np.asarray(driven.pressures)
@@ -105,7 +106,9 @@ def _heights(motion: Trajectory) -> np.ndarray:
 
 
 def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
-    figure = new_figure(8, 8.2, "Fig. 6: muscles driven by pressures (solid), springs (dotted)")
+    figure = new_figure(
+        8, 8.2, "Fig. 6: joints driven by muscle pressures (solid) and joints with springs (dotted)"
+    )
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1, 1.6, 1.6])
     times = np.asarray(driven.times)
     supplied = np.asarray(driven.pressures)[:, :, 0] / 1e3
@@ -123,14 +126,14 @@ def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
     return figure
 
 
-# Where the text says something: at the ends, where balloons begin to touch, about 0.
+# Angles that the text discusses: the ends, the onset of balloon contact, and angles near 0.
 ANGLES = (-60.0, -40.0, -20.0, 20.0, 40.0, 60.0)
 
 _ASSUMED = (
     "the points where muscle, wire and bush are fixed, and the lengths of wire (0.34 m) and muscle "
     "(1.96 m): the paper gives no coordinates."
 )
-_NOT_DRAWN = "nothing; the paper gives its measured points only in a figure, so they are not drawn."
+_NOT_DRAWN = "nothing. The paper gives its measured points only in a figure, so they are not drawn."
 
 
 _PRINTED = {
@@ -141,7 +144,7 @@ _PRINTED = {
 
 
 def fig09_or_10(number: int) -> Reproduced:
-    """Fig. 9, the model without corrections, or fig. 10, that with alpha and beta."""
+    """Fig. 9 (the model without corrections) or fig. 10 (with alpha and beta)."""
     corrected = number == 10
     table = angle_table(Joint(), corrected=corrected)
     figure = angle_figure(Joint(), corrected=corrected)
@@ -161,17 +164,18 @@ def fig09_or_10(number: int) -> Reproduced:
 _FIG12_SOURCES = Sources(
     printed=f"the history (60, -60, 0{DEGREE} twice, 1{DEGREE} every 5 or 20 s), eq. (12), the "
     "offsets that minimise the mean error, and the errors in the table.",
-    assumed=f"the travel over which xi changes from 0 to 1: 40{DEGREE}; for the explanations: the "
-    "geometry, the muscles, and the film and gas (1 kPa) of the neck.",
+    assumed=f"the travel over which xi changes from 0 to 1 (40{DEGREE}). For the explanations, "
+    "also the geometry, the muscles, and the film and gas (1 kPa) of the neck.",
     reconstructed="the link: a simulated joint that snaps through 0 and is hysteretic. The inverse "
-    "operator and the second history are giajax's.",
+    "operator and the second history were added by giajax.",
 )
 
 
 def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
-    """Fig. 12, the errors that the text gives, and what may be behind them."""
+    """Fig. 12, with the errors that the text gives and their possible explanations."""
     study = one_link(progress=progress)
-    # By compensation what the text says of the largest error, of the mean, and of its share.
+    # For each compensation: largest error, mean error, and its ratio to the uncompensated mean
+    # error.
     said = {
         "none": ("without", "about 30", "about 11", "1"),
         "branches": ("eq. (12)", "almost the same", "-", "less than 0.5"),
@@ -202,7 +206,7 @@ def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
         ),
     )
     figure = figure_12(study)
-    title = "Fig. 12: one link, measured against target angles (a simulated joint)"
+    title = "Fig. 12: measured versus target angles of one link (a simulated joint)"
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     columns = one_link_table(study)
     facts = {"explanations": _explanation_facts(found)}
@@ -212,7 +216,7 @@ def fig12(progress: Callable[[str], None] | None = None) -> Reproduced:
 def _explanation_rows(
     found: Mapping[str, tuple[Explained, Explained]], loop: np.ndarray
 ) -> list[tuple[Any, ...]]:
-    """What is nearest to the text, its loop at three pressures, and what gives way at all."""
+    """Return the best fit of each explanation to the text, and its loop at three pressures."""
 
     def row(label: str, one: Explained, *judged: Any) -> tuple[Any, ...]:
         said = {name: round(value, 1) for name, value in one.said.items()}
@@ -231,12 +235,12 @@ def _explanation_rows(
     return rows
 
 
-# Of a link of the arm, and what one muscle puts on it: m, N m, N.
+# Radius of a link of the arm, m, and the torque, N m, and compression, N, due to one muscle.
 _LINK_RADIUS, _TORQUE, _PRESSED = 0.15, 0.3, (2.0, 4.0)
 
 
 def _explanation_facts(found: Mapping[str, tuple[Explained, Explained]]) -> dict[str, Any]:
-    """What each explanation needs, and where a tube collapses under one muscle."""
+    """Return the parameters of each explanation and the collapse limits for one muscle."""
     pressures = [collapse_pressure(_LINK_RADIUS, _TORQUE, force) for force in _PRESSED]
     radii = [collapse_radius(1e3, _TORQUE, force) for force in _PRESSED]
     needs = {

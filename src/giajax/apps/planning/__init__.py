@@ -1,4 +1,4 @@
-"""Commands that bring an arm to a pose, its tip to a place or through an opening."""
+"""Planning of commands that move an arm to a pose, or its tip to a place or an opening."""
 
 from ._plan import (
     Plan as Plan,

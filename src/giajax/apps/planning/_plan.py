@@ -1,4 +1,4 @@
-"""Plans: what a command is to do, the search for it, and what arms do by it."""
+"""Planning of a command: the problem, its solution, and the resulting motion of the arm."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -35,31 +35,32 @@ from ._target import ROOM, AbstractTarget, CommandLimits, without_contact
 KNOTS = 10
 """Default number of intervals of a planned command."""
 
-_MODES = 3  # that are commanded by themselves
-_LATER = 3  # slowest periods after the command that are looked at
-_FINAL = 1e-5  # tolerance of the motion
+_MODES = 3  # Number of modes that get a command of their own.
+_LATER = 3  # Duration after the command that is evaluated, in slowest periods.
+_FINAL = 1e-5  # Tolerance of the simulated motion.
 
 
 @dataclasses.dataclass(frozen=True)
 class Planned:
-    """A command, and what arms do by it.
+    """A command, and the motion of arms under it.
 
     Attributes:
-        name: "direct": the way there at the largest rate; "planned".
-        command: angles over time.
-        settled: when the tip has come to stay near where it comes to rest, s; None where that is
-            not within three slowest periods after the command.
-        residual: largest distance of the tip from where it comes to rest, after the command, m.
-        missed: largest distance of the tip from the target, after the command, m.
-        soft, stiff: residual with a stiffness a quarter lower and higher, m; None where all
-            joints that are commanded have muscles in place of springs.
-        drawn: residual with each draw of what the fit leaves open, m; empty without one.
-        clearance: the least of any link, m; None where nothing stands around.
-        closest: the same of the soft, the stiff and the drawn arms, m.
-        times: s, shape (sample,).
-        tips: of the tip, m, shape (sample, 3).
-        angles: of the joints, rad, shape (sample, joint).
-        drawn_tips: with each draw, m, shape (draw, sample, 3).
+        name: "direct" for the direct motion at the largest rate, or "planned".
+        command: commanded angles versus time.
+        settled: time from which the tip stays near its rest position, s; None if that is not within
+            three slowest periods after the command.
+        residual: largest distance of the tip from its rest position after the command, m.
+        missed: largest distance of the tip from the target after the command, m.
+        soft, stiff: residual with a stiffness a quarter lower and higher, m; None if all commanded
+            joints have muscles instead of springs.
+        drawn: residual of each draw of the uncertain parameters of the fit, m; empty without a fit.
+        clearance: smallest clearance of any link, m; None without obstacles.
+        closest: smallest clearance of all simulated arms, the soft, stiff and drawn ones included,
+            m.
+        times: sample times, s, shape (sample,).
+        tips: positions of the tip, m, shape (sample, 3).
+        angles: joint angles, rad, shape (sample, joint).
+        drawn_tips: positions of the tip of each draw, m, shape (draw, sample, 3).
     """
 
     name: str
@@ -80,20 +81,20 @@ class Planned:
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What was planned; made by `plan_command`.
+    """Result of `plan_command`.
 
     Attributes:
-        direct: the way there at the largest rate.
+        direct: the direct motion at the largest rate.
         planned: the command that was found.
-        goal: of the tip, m.
-        travel: distance of the tip from the goal in the beginning, m.
-        within: share of the travel that is near the goal.
-        period: of the slowest mode where it ends, s.
-        limits: that were kept to.
-        steps: of the search.
-        model: of the arm.
-        problem: that was solved first.
-        notes: sentences on what a reader should know.
+        goal: target position of the tip, m.
+        travel: initial distance of the tip from the goal, m.
+        within: fraction of the travel within which the tip counts as near the goal.
+        period: period of the slowest mode in the final pose, s.
+        limits: limits of the command and its motion.
+        steps: number of steps of the search.
+        model: model of the arm.
+        problem: optimisation problem that was solved first.
+        notes: sentences on limitations of the result.
     """
 
     direct: Planned
@@ -122,27 +123,27 @@ def plan_command(
     draw_count: int = 20,
     progress: Callable[[str], None] | None = None,
 ) -> Plan:
-    """Plan a command that brings an arm to a target, where it then rests, in still air.
+    """Plan a command that moves an arm to a target, where it then rests, in still air.
 
-    Without a duration it is as short as the limits allow; with one, what is left of the swing is as
-    little as can be. The arm rests when it begins. It is a local optimum, from the way there in a
-    straight line, in at least one slowest period.
+    Without a duration the command is as short as the limits allow. With a duration its residual
+    swing is as small as possible. The arm is at rest initially. The result is a local optimum. The
+    initial guess is a straight line between the poses, which lasts at least one slowest period.
 
     Arguments:
-        model: the arm, or a fit of it, whose uncertainty is then drawn from.
+        model: the arm, or a fit of it. With a fit, draws of its uncertain parameters are evaluated.
         target: `Pose`, `Tip` or `Through`.
-        begin: commanded angles at which the arm rests in the beginning, rad; straight by default.
-        limits: of the command, and how clear links keep.
-        duration: of the command, s.
-        within: share of the tip's travel; within that distance the tip counts as at rest.
-        knots: intervals of the command.
-        most_steps: of the search.
-        draw_count: how many draws of what the fit leaves open.
-        progress: called with a line now and then.
+        begin: commanded angles of the initial rest pose, rad. The default is a straight arm.
+        limits: limits of the command, and the required clearance of the links.
+        duration: duration of the command, s.
+        within: fraction of the tip's travel; within this distance the tip counts as at rest.
+        knots: number of intervals of the command.
+        most_steps: maximum number of steps of the search.
+        draw_count: number of draws of the uncertain parameters of the fit.
+        progress: called with a line of text from time to time.
 
     Raises:
-        InputError: a target out of reach, a beginning beyond the limits or too near an obstacle,
-            or no command that keeps to the limits.
+        InputError: a target that cannot be reached, an initial pose beyond the limits or too
+            close to an obstacle, or no command within the limits.
 
     Example:
         >>> import giajax, numpy as np
@@ -160,7 +161,8 @@ def plan_command(
         raise InputError(f"the duration of the command is {duration:g} s: give a positive number")
     if not 0 < within < 1:
         raise InputError(
-            f"within is {within:g}, but it is a share of the travel: give a number between 0 and 1"
+            f"within is {within:g}, but must be a fraction of the travel: give a number between 0 "
+            "and 1"
         )
     if knots < 2:
         raise InputError(
@@ -214,7 +216,9 @@ def plan_command(
     target.check(arm, rows[1].tips)
     notes = _doubts(rows[1], limits, within * travel, arm.further_laws.rows > 0)
     if springs == "some":
-        notes.append("the stiffness columns change only springs: muscles keep their stated values")
+        notes.append(
+            "in the stiffness columns, only the springs change: muscles keep their given values"
+        )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
     if steps >= most_steps:
@@ -226,7 +230,7 @@ def plan_command(
 
 
 def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> None:
-    """Refuse a beginning or an end that is too near an obstacle: no path can correct it."""
+    """Raise an error if the first or last pose is too close to an obstacle for any path."""
     assert arm.contact is not None
     things = arm.contact.obstacles
     for rest, where in ((rests[0], "begins"), (rests[-1], "ends")):
@@ -243,7 +247,7 @@ def _clear_at_ends(arm: Arm, rests: Sequence[Rest], limits: CommandLimits) -> No
 
 
 def _springs(arm: Arm, route: np.ndarray, angles: np.ndarray) -> str:
-    """Whether all, some or none of the joints that are commanded have springs."""
+    """Return whether all, some or none of the commanded joints have springs."""
     moved = np.ptp(np.concatenate([route, angles]), axis=0) > 1e-9
     if arm.pneumatics is None:
         return "all"
@@ -260,10 +264,11 @@ def _searched_on(
     arm: Arm,
     how: dict[str, Any],
 ) -> tuple[np.ndarray, int]:
-    """A solution by which the tip is near in a closer simulation, too, and all steps.
+    """Return a solution that is near the target in an accurate simulation, and the number of steps.
 
-    The tip may be too far off between the times of the search, or after them: the search goes on,
-    and keeps nearer by as much. Each simulation is of the arm as stated alone.
+    The tip may be too far from the target between the times of the search, or after them. The
+    search then continues with a correspondingly smaller allowed distance. Each simulation is of the
+    nominal arm only.
     """
 
     def missed(y: np.ndarray) -> float:
@@ -290,13 +295,17 @@ def _searched_on(
     return y, steps
 
 
-_ROUNDS = 3  # of a search that goes on, nearer to the target each time
+_ROUNDS = 3  # Number of continued searches, each closer to the target.
 _FURTHER = 0.99
-_PRESSED = 1e-3  # of the largest pressure
+_PRESSED = 1e-3  # Tolerance of the pressure limit, as a fraction of the limit.
 
 
 def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -> list[str]:
-    """Notes on what arms do by the planned command (`InputError`: a link meets something)."""
+    """Return notes on the motion under the planned command.
+
+    Raises:
+        InputError: a link touches an obstacle.
+    """
     notes = []
     if row.missed > near:
         why = (
@@ -305,14 +314,14 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
             else "allow the command more time, or more knots"
         )
         notes.append(
-            "within three of the longest periods after the command the tip is up to "
+            "during three of the longest periods after the command, the tip is up to "
             f"{row.missed:.3g} m from the target, but only {near:.3g} m are allowed: {why}"
         )
     if row.clearance is None or row.closest is None:
         return notes
     if row.clearance < 0:
         raise InputError(
-            "between the planned times a link touches an obstacle: plan with more clearance"
+            "a link touches an obstacle between the planned times: plan with more clearance"
         )
     for gap, whose in ((row.clearance, ""), (row.closest, " in one of the draws")):
         if gap < limits.clearance:
@@ -339,7 +348,7 @@ def _problem(
     gain = shapes.T @ rest.mass @ np.linalg.solve(by_angles, by_command @ legs.T)
     reach = np.linalg.norm(rest.moves @ shapes, axis=0)
     excited = np.argsort(-np.max(np.abs(gain), axis=1) * reach)[:_MODES]
-    # What holds the arm in the shape of a mode.
+    # Commands that hold the arm in the shape of a mode.
     holding = -np.linalg.lstsq(by_command, by_angles @ shapes[:, excited], rcond=None)[0].T
     moves = np.concatenate([holding, legs])
     moves = moves / np.max(np.abs(moves), axis=1, keepdims=True)
@@ -348,13 +357,12 @@ def _problem(
     least = float(direct.times[-1])
     if duration is not None and duration < least:
         raise InputError(
-            f"within {np.rad2deg(limits.rate):g} deg/s the motion to the target takes {least:.1f} "
-            f"s, but the command is to last only {duration:g} s: allow it more time, or a larger "
-            "rate"
+            f"at {np.rad2deg(limits.rate):g} deg/s, the motion to the target takes {least:.1f} s, "
+            f"but the command is to last only {duration:g} s: allow more time, or a larger rate"
         )
     base = direct.at(np.linspace(0.0, least, knots + 1))
     period, pressure = 2 * np.pi / frequencies[0], limits.pressure or np.inf
-    # What remembers is held elsewhere than by the command of its pose alone, and creeps.
+    # With hysteresis the command that holds a pose depends on the history, and the arm creeps.
     remembers = arm.further_laws.rows > 0
     after = (_LATER if remembers else 1) * period
     numbers = (rest.tip, _INSIDE * near, period, after, limits.clearance + ROOM, pressure)
@@ -362,19 +370,19 @@ def _problem(
     return PlanProblem(Task(arm, *rows), limits, _MARGIN * least, duration, remembers)
 
 
-_MARGIN = 1 + 1e-6  # of rounding
-_INSIDE = 0.95  # of being near, as the motion is looked at now and then
+_MARGIN = 1 + 1e-6  # Margin for rounding.
+_INSIDE = 0.95  # Factor of the allowed distance, because the motion is evaluated at discrete times.
 
 
 def _direct(route: np.ndarray, rate: float) -> Command:
-    """Along a route at the largest rate (rad/s) of the joint that turns most."""
+    """Return the command along a route at the largest rate (rad/s) of the fastest joint."""
     spans = np.max(np.abs(np.diff(route, axis=0)), axis=1) / rate
     kept = np.concatenate([[True], spans > 0])
     return Command(np.concatenate([[0.0], np.cumsum(spans)])[kept], route[kept])
 
 
 def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
-    """Refuse a solution that does not keep to the limits."""
+    """Raise an error for a solution that violates the limits."""
     kept = problem.values(np.concatenate([y[:-2], np.zeros(2)]))
     if np.min(kept) <= -LOST / 2:
         raise InputError(
@@ -386,7 +394,7 @@ def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
     if missing > NEARER or pressed > _PRESSED:
         what = f"a link comes {missing:.2g} m closer to an obstacle than the clearance allows"
         if pressed > _PRESSED:
-            what = f"a muscle needs {1 + pressed:.2f} times the largest pressure"
+            what = f"a muscle needs {1 + pressed:.2f} times the largest allowed pressure"
         raise InputError(
             f"no command within the limits was found ({what}): relax the limits, or plan two moves"
         )
@@ -395,15 +403,15 @@ def _check(problem: PlanProblem, y: np.ndarray, duration: float | None) -> None:
         muscles = problem.task.arm.pneumatics is not None
         held = "; muscles may hold a joint at several angles, mainly near 0" if muscles else ""
         raise InputError(
-            f"no command within the limits was found after which the tip stays near the target (at "
-            f"best at {off:.3g} times the allowed distance{held}): allow larger angles or rates, "
-            "or more knots"
+            "no command within the limits was found that keeps the tip near the target afterwards "
+            f"(the best one leaves it at {off:.3g} times the allowed distance{held}): allow larger "
+            "angles or rates, or more knots"
         )
 
 
 @program
 def _flights(cases: Flight, around: Arm) -> tuple[Array, ...]:
-    """Angles, tips, rests, whether they were simulated, and the least clearance of each."""
+    """Return angles, tips, rests, success and the smallest clearance of each flight."""
 
     def one(flight: Flight) -> tuple[Array, ...]:
         flown = flight.flown(SETTLING // 3)
@@ -426,7 +434,10 @@ def _moved(
     period: float,
     rows: int,
 ) -> Planned:
-    """What arms do by a command (of so many rows): as stated, some with wrong stiffness, drawn."""
+    """Simulate a command: the nominal arm, then `wrong` arms of other stiffness, then the draws.
+
+    `rows` is the number of rows of the command, the same for all commands.
+    """
     times = settling_times(float(command.times[-1]), _LATER * period)
     signal, stamps = command.signal(rows), jnp.asarray(times)
     cases = [Flight(without_contact(each), signal, stamps, jnp.asarray(_FINAL)) for each in arms]

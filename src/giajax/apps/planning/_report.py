@@ -1,4 +1,4 @@
-"""A plan as a table, plain data and a picture."""
+"""Table, JSON data and figure of a plan."""
 
 from typing import Any
 
@@ -28,8 +28,9 @@ PLAN_HEADINGS = (
 
 
 def plan_rows(found: Plan) -> list[tuple[Any, ...]]:
-    """A row for the direct and the planned command, as `PLAN_HEADINGS` says; None where there is
-    nothing to say.
+    """Return a row for the direct and one for the planned command, with columns `PLAN_HEADINGS`.
+
+    A value is None if it does not exist.
     """
     return [
         (
@@ -48,7 +49,7 @@ def plan_rows(found: Plan) -> list[tuple[Any, ...]]:
 
 
 def plan_facts(found: Plan) -> dict[str, Any]:
-    """What was found as plain data."""
+    """Return the result of a plan as plain data."""
     limits = found.limits
     return {
         "goal_m": found.goal.tolist(),
@@ -86,13 +87,14 @@ def _finite(size: float | None) -> float | None:
 
 
 def _banded(row: Planned) -> bool:
-    """Whether draws have a spread."""
+    """Return whether there are enough draws for a spread."""
     return len(row.drawn) > 1
 
 
 def path_columns(found: Plan) -> dict[str, np.ndarray]:
-    """The expected way of the tip by the planned command, and between where 95 % of the draws are;
-    names end in their unit.
+    """Return the predicted path of the tip under the planned command, with a 95 % band of draws.
+
+    Column names end in their unit.
     """
     row = found.planned
     columns: dict[str, np.ndarray] = {"time_s": row.times}
@@ -104,11 +106,11 @@ def path_columns(found: Plan) -> dict[str, np.ndarray]:
     return columns
 
 
-_SHAPES = 6  # of the arm, from the first to the last
+_SHAPES = 6  # Number of drawn shapes of the arm.
 
 
 def plan_figure(found: Plan, title: str = "") -> Figure:
-    """Shapes of the arm on the way, the commands, and how far the tip is from the target."""
+    """Plot shapes of the arm during the motion, the commands, and the distance from the target."""
     figure = new_figure(11, 6.4, title or "A planned command")
     grid = figure.add_gridspec(2, 2)
     across = np.ptp(found.planned.tips, axis=0)
@@ -135,7 +137,7 @@ def plan_figure(found: Plan, title: str = "") -> Figure:
 
 
 def _shown(found: Plan) -> float:
-    """Time until which it is interesting, s."""
+    """Return the end of the time axis, s."""
     settled = (found.direct.settled, found.planned.settled)
     ends = [float(found.planned.times[-1]) if each is None else each for each in settled]
     return min(float(found.planned.times[-1]), 1.3 * max(ends))

@@ -1,13 +1,13 @@
-"""The fastest or the calmest command, found by derivatives through the simulator.
+"""Search for the fastest command, or the one of least residual swing, by exact derivatives.
 
-Unknown are how long the command lasts and its values at equidistant knots, between which it is
-straight: about the way there they are sums of the commands that hold the arm in shapes of the
-modes that the move excites, and of the parts of the way. From its end on, and for one period of the
-slowest mode (three where joints remember, and creep), the tip is to stay near the target. That, and
-the clearance, are constraints by the simulated motion; angles and rates of the command are linear
-ones. The sequential quadratic programme of Kraft (1988), SLSQP in scipy, has the slope of each by
-forward differentiation. Slack that costs makes every start feasible (Nocedal and Wright, Numerical
-Optimization, chapter 18.5).
+The unknowns are the duration of the command and its values at equidistant knots, between which it
+is linear. The values are deviations from the direct route: sums of the commands that hold the arm
+in the shapes of the excited modes, and of the legs of the route. After the end of the command the
+tip must stay near the target for one period of the slowest mode (three with hysteresis, because the
+joints creep). This and the clearance are constraints on the simulated motion. The limits of angles
+and rates are linear constraints. Sequential quadratic programming (Kraft 1988, SLSQP in scipy) gets
+the gradient of each constraint by forward-mode differentiation. Penalised slack variables make
+every initial guess feasible (Nocedal and Wright, Numerical Optimization, chapter 18.5).
 """
 
 import copy
@@ -26,26 +26,26 @@ from ...simulation import Signal
 from .._moves import Command, Flight
 from ._target import ROOM, CommandLimits, headroom, kept_last, without_contact
 
-DURING, AFTER = 40, 96  # samples of the motion while the command lasts, and after it
-_COEFFICIENT = 0.1  # rad, for each unknown
-GAP = 0.1  # m, of each unit of clearance that is missing
-SHARE = 0.01  # of the largest pressure, of each unit of it that is missing
-_BLUNT = 0.005  # m, over which the least of many distances is smoothed
-_PLANNING = 1e-4  # tolerance of the motion
+DURING, AFTER = 40, 96  # Samples of the motion during the command, and after it.
+_COEFFICIENT = 0.1  # Angle per unit of an unknown, rad.
+GAP = 0.1  # Missing clearance per unit of its constraint, m.
+SHARE = 0.01  # Missing headroom per unit of its constraint, as a share of the largest pressure.
+_BLUNT = 0.005  # Smoothing length of the minimum of many distances, m.
+_PLANNING = 1e-4  # Tolerance of the simulated motion.
 
 
 class Task(NamedTuple):
-    """What is constant while a plan is looked for.
+    """Constants of a search.
 
     Attributes:
-        base: commanded angles at the knots, about which they are changed, rad.
-        moves: by which, rad.
-        goal: of the tip, m.
-        near: how far from it the tip may be from the command's end on, m.
-        period: of the slowest mode, s.
-        after: how long after the command the tip is to be near, s.
-        clear: clearance to keep, m.
-        pressure: in muscles at most, Pa.
+        base: commanded angles of the direct route at the knots, rad.
+        moves: directions in which these angles are changed, rad.
+        goal: target position of the tip, m.
+        near: largest allowed distance of the tip from the goal after the command, m.
+        period: period of the slowest mode, s.
+        after: time after the command during which the tip must stay near the goal, s.
+        clear: required clearance, m.
+        pressure: largest pressure of a muscle, Pa.
     """
 
     arm: Arm
@@ -60,7 +60,7 @@ class Task(NamedTuple):
 
 
 def _knots(task: Task, unknown: Array) -> Float[Array, "knot joint"]:
-    """Commanded angles; the end is free where there are unknowns for it."""
+    """Return the commanded angles; the last knot is free if there are unknowns for it."""
     rows = unknown[1:].reshape(-1, len(task.moves)) * _COEFFICIENT
     ends = jnp.zeros_like(rows[:1])
     held = [rows, ends] if len(rows) < len(task.base) - 1 else [rows]
@@ -78,21 +78,25 @@ def _signal(task: Task, unknown: Array) -> Signal:
 
 def _sampled(duration: Scalar, after: Scalar) -> Array:
     until = jnp.linspace(0.0, 1.0, DURING, endpoint=False, dtype=duration.dtype) * duration
-    # What is quick dies away soon.
+    # Fast motions decay soon: sample more densely at the beginning.
     since = jnp.linspace(0.0, 1.0, AFTER, dtype=duration.dtype) ** 2 * after
     return jnp.concatenate([until, duration + since])
 
 
 def _least(distances: Array) -> Array:
-    """The least of each row, smoothed: by at most so much too small as it has columns."""
+    """Return the smoothed minimum of each row.
+
+    It is too small by at most `_BLUNT` times the logarithm of the number of columns.
+    """
     flat = distances.reshape(len(distances), -1)
     return -_BLUNT * jax.nn.logsumexp(-flat / _BLUNT, axis=1)
 
 
 def _kept(task: Task, unknown: Array) -> Array:
-    """How much is left of each constraint, without slack: at least 0 where it is kept.
+    """Return the margin of each constraint without slack: at least 0 if the constraint holds.
 
-    First how far from being near the tip is after the command, over `near`; then the clearance.
+    The first margins are of the distance of the tip from the goal after the command, divided by
+    `near`. The margins of clearance and of muscle pressure follow.
     """
     times = _sampled(unknown[0] * task.period, task.after)
     tolerance = jnp.asarray(_PLANNING, times.dtype)
@@ -113,7 +117,7 @@ def _kept(task: Task, unknown: Array) -> Array:
 
 @program
 def _values(task: Task, unknown: Array) -> tuple[Array, Array]:
-    """What is kept, and its slopes by the unknowns: one program for both."""
+    """Return the constraints and their derivatives by the unknowns, in one compiled program."""
 
     def kept(unknown: Array) -> tuple[Array, Array]:
         values = _kept(task, unknown)
@@ -124,16 +128,18 @@ def _values(task: Task, unknown: Array) -> tuple[Array, Array]:
 
 
 class PlanProblem:
-    """A plan to look for, as any optimiser with constraints takes it.
+    """Optimisation problem of a plan, for any optimiser with constraints.
 
-    Unknowns are the duration over the slowest period, the coefficients of the knots, and two
-    slacks: of being near, in units of that, and of all else. `cost` is linear in them.
+    The unknowns are the duration divided by the slowest period, the coefficients of the knots, and
+    two slack variables: one for the distance of the tip from the goal, in units of the allowed
+    distance, and one for all other constraints. The objective is linear in the unknowns.
 
     Attributes:
-        start: unknowns to begin with.
-        cost: of each unknown.
+        start: initial guess of the unknowns.
+        cost: coefficient of each unknown in the objective.
         low, high: bounds of the unknowns.
-        linear, offset: `linear @ unknowns + offset` is at least 0 within angles and rates.
+        linear, offset: `linear @ unknowns + offset` is at least 0 within the limits of angles and
+            rates.
     """
 
     def __init__(
@@ -169,7 +175,10 @@ class PlanProblem:
             self.high[-1] = 0.0
 
     def closer(self, share: float, y: np.ndarray) -> "PlanProblem":
-        """The problem of staying at this share of the distance, from unknowns on."""
+        """Return the problem with a smaller allowed distance, started from the unknowns `y`.
+
+        `share` multiplies the allowed distance.
+        """
         new = copy.copy(self)
         new.task = self.task._replace(near=self.task.near * share)
         new._looked = kept_last(new._look)
@@ -177,7 +186,7 @@ class PlanProblem:
         return new
 
     def _with_slack(self, start: np.ndarray) -> np.ndarray:
-        """A start that nothing forbids: slack for whatever is not kept."""
+        """Return a feasible initial guess, with enough slack for all violated constraints."""
         start = np.concatenate([start[:-2], np.zeros(2)])
         missing = -np.minimum(self.values(start), 0)
         start[-2] = np.max(missing[:AFTER], initial=0.0)
@@ -185,7 +194,7 @@ class PlanProblem:
         return start
 
     def _linear(self, limits: CommandLimits, joints: int, moves: int, period: float) -> None:
-        """Angles at the knots, and rates between them, of joints that are moved at all."""
+        """Set the constraints on angles at the knots and rates between them, for moving joints."""
         base, move = np.asarray(self.task.base), np.asarray(self.task.moves)
         used = np.flatnonzero(np.any(move != 0, axis=0) | (np.ptp(base, axis=0) > 0))
         count = len(self.start)
@@ -195,7 +204,8 @@ class PlanProblem:
             values[row + 1, :, place : place + moves] = _COEFFICIENT * move[:, used].T
         changes = np.diff(values, axis=0)
         away = np.diff(base[:, used], axis=0)
-        # All are over the limit: of the angle, and of what the slowest period allows.
+        # Each row is divided by its limit: the angle, or the change per interval in one slowest
+        # period.
         step = limits.rate * period / (self.knots - 1)
         rows, offsets = [], []
         for sign in (-1, 1):
@@ -208,33 +218,33 @@ class PlanProblem:
         self.linear, self.offset = np.concatenate(rows), np.concatenate(offsets)
 
     def values(self, y: np.ndarray) -> np.ndarray:
-        """How much is left of each constraint by the motion, with slack."""
+        """Return the margins of the constraints on the motion, with slack."""
         kept = self._looked(y[:-2])[0].copy()
         kept[:AFTER] += y[-2]
         kept[AFTER:] += y[-1]
         return kept
 
     def kept(self, y: Array) -> Array:
-        """The same as JAX traces and differentiates it."""
+        """Return the same margins in a form that JAX can trace and differentiate."""
         kept = _kept(self.task, y[:-2])
         return kept + jnp.where(jnp.arange(len(kept)) < AFTER, y[-2], y[-1])
 
     def slopes(self, y: np.ndarray) -> np.ndarray:
-        """Of the values, by the unknowns."""
+        """Return the derivatives of `values` by the unknowns."""
         by = self._looked(y[:-2])[1]
         slack = np.zeros((len(by), 2))
         slack[:AFTER, 0] = slack[AFTER:, 1] = 1
         return np.concatenate([by, slack], axis=1)
 
     def _look(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and slopes without slack."""
+        """Return margins and derivatives without slack."""
         unknowns = jnp.asarray(unknown, self.task.base.dtype)
         values, slopes = map(np.asarray, _values(self.task, unknowns))
         values = np.nan_to_num(values, nan=-LOST, posinf=LOST, neginf=-LOST)
         return values, np.nan_to_num(slopes)
 
     def command(self, y: np.ndarray) -> Command:
-        """The command of unknowns."""
+        """Return the command that belongs to the unknowns."""
         knots = np.asarray(_knots(self.task, jnp.asarray(y[:-2], self.task.base.dtype)))
         duration = float(y[0] * self.task.period)
         return Command(np.linspace(0.0, duration, self.knots), knots)
@@ -242,7 +252,7 @@ class PlanProblem:
     def solved(
         self, most: int, progress: Callable[[str], None] | None = None
     ) -> tuple[np.ndarray, int]:
-        """The best unknowns that SLSQP finds, and in how many steps."""
+        """Return the best unknowns that SLSQP finds, and the number of its steps."""
         count = 0
 
         def step(y: np.ndarray) -> None:
@@ -265,7 +275,7 @@ class PlanProblem:
             near, clear = found[-2] < SLACK, GAP * found[-1] < ROOM + NEARER
             if self.low[0] == self.high[0] or (near and clear) or count >= most:
                 break
-            # A slower one, from which it may find a way.
+            # A slower command is more likely to lead to a feasible one.
             start = start.copy()
             start[0] = min(2 * start[0], self.high[0])
             start = self._with_slack(start)
@@ -294,11 +304,11 @@ class PlanProblem:
         return np.asarray(found.x)
 
 
-_TRIES = 3  # from durations each of which is twice the one before
-_HARD = 10.0  # a slowest period for each unit of what is not kept beside being near
-_LONGEST = 6.0  # of a command, in periods of the slowest mode
-LOST = 1e3  # of a constraint by a motion that could not be simulated
-_ENOUGH = 3e-4  # of the cost
-_EVERY = 5  # steps between two lines of progress
-SLACK = 0.05  # of being near, that is left of a plan that keeps to everything
-NEARER = 0.02  # m, than the clearance: what is overlooked
+_TRIES = 3  # Number of attempts, each from twice the duration of the one before.
+_HARD = 10.0  # Cost of a unit of the second slack, in slowest periods.
+_LONGEST = 6.0  # Longest command, in periods of the slowest mode.
+LOST = 1e3  # Violation of a constraint by a motion that could not be simulated.
+_ENOUGH = 3e-4  # Convergence tolerance of the cost.
+_EVERY = 5  # Steps between two lines of progress.
+SLACK = 0.05  # Slack of the distance that a feasible plan may have.
+NEARER = 0.02  # Tolerated violation of the clearance, m.

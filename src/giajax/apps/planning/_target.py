@@ -1,4 +1,4 @@
-"""Where an arm is to go: a pose, a place of its tip, or through an opening."""
+"""Targets of a planned motion: a pose, a position of the tip, or the far side of an opening."""
 
 import abc
 import dataclasses
@@ -22,17 +22,17 @@ from ..mission import opening_of
 
 @dataclasses.dataclass(frozen=True)
 class CommandLimits:
-    """What a command and its motion must keep to.
+    """Limits of a command and of the motion that it causes.
 
     Attributes:
-        angle: of the command of each joint at most, rad.
-        rate: of the command of each joint at most, rad/s. What the drives of the paper's arm can do
-            is not published: 2 degrees a second are an assumption.
-        clearance: of all links from whatever stands around at least, m.
-        pressure: in each muscle at most, Pa; None for what the drives give.
+        angle: largest commanded angle of each joint, rad.
+        rate: largest rate of the command of each joint, rad/s. The limits of the drives of the
+            paper's arm are not published: 2 degrees per second is an assumption.
+        clearance: smallest clearance between all links and all obstacles, m.
+        pressure: largest pressure of each muscle, Pa; None for the limits of the drives only.
 
     Raises:
-        InputError: a limit that leaves nothing.
+        InputError: a limit that is not positive, or a negative clearance.
     """
 
     angle: float = float(np.deg2rad(60.0))
@@ -53,7 +53,7 @@ Looked = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 def kept_last(look: Looked) -> Looked:
-    """A function of unknowns that keeps its last values and slopes: optimisers request each."""
+    """Cache the last values and derivatives of a function; optimisers request each separately."""
 
     @functools.lru_cache(maxsize=1)
     def known(raw: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -63,44 +63,43 @@ def kept_last(look: Looked) -> Looked:
 
 
 def headroom(arm: Arm, command: Array, most: Array) -> Array:
-    """What muscles are below a pressure (Pa) under a command (rad), as a share, of each."""
+    """Return the pressure that each muscle has left under a command (rad), over the limit (Pa)."""
     assert arm.pneumatics is not None
     pressures = arm.pneumatics.commanded(reached(arm, command))
     return 1 - pressures.ravel() / most
 
 
 class AbstractTarget(abc.ABC):
-    """Where an arm is to be at rest in the end."""
+    """Target in which an arm is to be at rest after the command."""
 
     @abc.abstractmethod
     def commands(
         self, arm: Arm, begin: Float[np.ndarray, " joint"], limits: CommandLimits
     ) -> Float[np.ndarray, "way joint"]:
-        """Commanded angles at whose poses it comes by, from the first on, rad; the last ones hold
-        it there.
+        """Return the commanded angles of the poses to pass, rad; the last ones hold the target.
 
         Arguments:
-            begin: commanded angles at which it rests in the beginning, rad.
+            begin: commanded angles of the initial rest pose, rad.
 
         Raises:
-            InputError: it cannot be reached.
+            InputError: the target cannot be reached.
         """
 
     @optional  # noqa: B027
     def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:
-        """Refuse a way of the tip (m) that is not the one that was asked for: none by default."""
+        """Raise an error if the path of the tip (m) is not as required; by default it always is."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pose(AbstractTarget):
-    """The pose in which an arm rests by commanded angles (rad)."""
+    """The rest pose that belongs to commanded angles (rad)."""
 
     angles: Float[np.ndarray, " joint"]
 
     def commands(
         self, arm: Arm, begin: Float[np.ndarray, " joint"], limits: CommandLimits
     ) -> Float[np.ndarray, "way joint"]:
-        """Those angles; as of `AbstractTarget`."""
+        """Return the angles of the pose; see `AbstractTarget`."""
         angles = np.asarray(self.angles, dtype=float)
         if angles.shape != begin.shape:
             raise InputError(
@@ -111,26 +110,28 @@ class Pose(AbstractTarget):
 
 @dataclasses.dataclass(frozen=True)
 class Tip(AbstractTarget):
-    """A place of the tip in the base frame, m."""
+    """A position of the tip in the base frame, m."""
 
     place: tuple[float, float, float]
 
     def commands(
         self, arm: Arm, begin: Float[np.ndarray, " joint"], limits: CommandLimits
     ) -> Float[np.ndarray, "way joint"]:
-        """Those that change least from the beginning; as of `AbstractTarget`."""
+        """Return the angles that differ least from the initial ones; see `AbstractTarget`."""
         return commands_reaching(arm, np.asarray(self.place, dtype=float), begin, limits)[None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Through(AbstractTarget):
-    """Through the opening of a wall, from the side that its x points to, and at rest behind it.
+    """Through the opening of a wall, from the side that its x axis points to, to rest behind it.
 
     Attributes:
-        wall: its name; None where there is one alone.
-        beyond: how far behind the outer face the tip is in the end, m.
-        before: how far before the face the tip is on the opening's axis before it goes in, m.
-        approach: commanded angles near which the opening is approached, rad; None: the beginning.
+        wall: name of the wall; None if there is only one.
+        beyond: final distance of the tip behind the outer face, m.
+        before: distance in front of the face at which the tip is first aligned with the axis of the
+            opening, m.
+        approach: commanded angles near which the opening is approached, rad; None for the initial
+            angles.
     """
 
     wall: str | None = None
@@ -141,7 +142,7 @@ class Through(AbstractTarget):
     def commands(
         self, arm: Arm, begin: Float[np.ndarray, " joint"], limits: CommandLimits
     ) -> Float[np.ndarray, "way joint"]:
-        """Before the opening, in it, and behind it; as of `AbstractTarget`."""
+        """Return the poses in front of the opening, in it, and behind it; see `AbstractTarget`."""
         opening = opening_of(arm, self.wall)
         centre, outwards = np.asarray(opening.centre), np.asarray(opening.frame[:, 0])
         ways, near = [], begin if self.approach is None else np.asarray(self.approach)
@@ -151,7 +152,7 @@ class Through(AbstractTarget):
         return np.stack(ways)
 
     def check(self, arm: Arm, tips: Float[np.ndarray, "sample 3"]) -> None:
-        """Refuse a way that does not cross the face of the wall within the opening."""
+        """Raise an error if the path does not cross the face of the wall within the opening."""
         opening = opening_of(arm, self.wall)
         local = (np.asarray(tips) - np.asarray(opening.centre)) @ np.asarray(opening.frame)
         inwards = np.flatnonzero((local[:-1, 0] > 0) & (local[1:, 0] <= 0))
@@ -160,16 +161,17 @@ class Through(AbstractTarget):
             if np.all(np.abs(place[1:]) < np.asarray(opening.half)):
                 return
         raise InputError(
-            "the path that was found does not pass through the opening: start before the wall, or "
+            "the planned path does not pass through the opening: start before the wall, or "
             "choose initial and target poses that are closer to it"
         )
 
 
-ROOM = 0.03  # m, of clearance between the times at which a motion is looked at
-_OFF = 0.01  # of a tip that is where it is to be, m
-_BEND = np.deg2rad(2.0)  # a straight arm has no slope towards its base
-_FAR = 0.5  # m, beyond which a target is out of reach whatever stands around
-_LIGHT = 0.03  # m/rad, of changes beside the distance
+ROOM = 0.03  # Margin of the clearance between the times at which a motion is evaluated, m.
+_OFF = 0.01  # Tolerated position error of the tip, m.
+# Initial bend, because the tip of a straight arm has no gradient towards its base.
+_BEND = np.deg2rad(2.0)
+_FAR = 0.5  # Distance beyond which a target is out of reach regardless of obstacles, m.
+_LIGHT = 0.03  # Weight of the change of angles relative to the distance, m/rad.
 
 
 def commands_reaching(
@@ -178,10 +180,10 @@ def commands_reaching(
     near: Float[np.ndarray, " joint"],
     limits: CommandLimits,
 ) -> Float[np.ndarray, " joint"]:
-    """Commanded angles that hold the tip at a place (m) at rest, and change least from others.
+    """Return commanded angles that hold the tip at a position (m), as close as possible to others.
 
     Raises:
-        InputError: none are found within the limits.
+        InputError: no such angles are found within the limits.
     """
     goal, kept = (jnp.asarray(each, jnp.result_type(float)) for each in (place, near))
     most = jnp.asarray(limits.pressure or np.inf, kept.dtype)
@@ -215,8 +217,8 @@ def commands_reaching(
     if nearest > _FAR:
         raise InputError(
             f"the tip cannot be at {_text(place)} m with joint angles within {np.rad2deg(limit):g} "
-            f"deg: the tip of the closest pose found is {nearest:.2g} m away from it; choose a "
-            "target within reach"
+            f"deg (the tip of the closest pose found is {nearest:.2g} m away): choose a target "
+            "within reach"
         )
     found = minimize(
         lambda u: (float(np.sum((u - near) ** 2)), 2 * (u - near)),
@@ -241,7 +243,7 @@ def commands_reaching(
 
 
 def _margins(arm: Arm, limits: CommandLimits, clear: float) -> list[np.ndarray]:
-    """What is to be left of each constraint of `_at_rest` behind the place."""
+    """Return the required margin of each constraint of `_at_rest` that follows the position."""
     rows = [] if arm.contact is None else [np.full(arm.count, clear)]
     if arm.pneumatics is not None:
         rows.append(np.zeros(2 * arm.count))
@@ -254,8 +256,10 @@ def _text(place: np.ndarray) -> str:
 
 @program
 def _at_rest(arm: Arm, command: Array, goal: Array, most: Array) -> tuple[Array, Array]:
-    """How far the tip is from a place at rest (m), how clear links are (m), and the headroom of
-    muscles; and slopes of these by the command.
+    """Return the rest values of the constraints and their derivatives by the command.
+
+    They are the offset of the tip from a position (m), the clearance of each link (m), and the
+    headroom of the muscles.
     """
     free = without_contact(arm)
 
@@ -274,5 +278,5 @@ def _at_rest(arm: Arm, command: Array, goal: Array, most: Array) -> tuple[Array,
 
 
 def without_contact(arm: Arm) -> Arm:
-    """The arm with nothing around it: what keeps clear of everything moves as if it were alone."""
+    """Return the arm without obstacles: it moves like an arm that keeps clear of them."""
     return dataclasses.replace(arm, contact=None)

@@ -1,4 +1,4 @@
-"""Runs that a model makes instead of an experiment: what drives them, and how they are recorded."""
+"""Synthetic runs: their commands and wind, and how they are recorded."""
 
 from ._drive import (
     Drive as Drive,

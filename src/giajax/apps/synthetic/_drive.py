@@ -1,4 +1,4 @@
-"""What drives a synthetic run: commands and wind as rows that read back as the same motion."""
+"""Commands and wind of a synthetic run, as rows from which the same motion can be computed."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -13,16 +13,16 @@ from ...simulation import logged
 
 Times = Float[np.ndarray, " row"]
 
-# Two times that are nearer than this (s) are one: far above rounding, far below a sample.
+# Times that differ by less than this (s) are equal: far above rounding, far below a sample.
 _SAME_TIME = 1e-9
 
 _MOST_ROWS = 1_000_000
 
 
 class Move(NamedTuple):
-    """One commanded movement of one joint, to an angle (rad) within some time (s); 0 for a step.
+    """Movement of one joint to an angle (rad), within a duration (s); a duration of 0 is a step.
 
-    Joints are counted from 1, the base joint. It starts at a time, s.
+    Joints are numbered from 1, the base joint. `start` is the time at which the movement begins, s.
     """
 
     joint: int
@@ -33,12 +33,12 @@ class Move(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """Logged rows of what drives an arm.
+    """Logged rows of the inputs of an arm.
 
     Attributes:
-        times: of the rows, increasing, s, shape (row,).
-        values: by channel (`joint01_command`, `wind_x`), SI, each of shape (row,).
-        interpolation: between two rows, "linear" or "zoh" (held).
+        times: times of the rows, increasing, s, shape (row,).
+        values: values by channel (`joint01_command`, `wind_x`), SI, each of shape (row,).
+        interpolation: interpolation between rows, "linear" or "zoh" (held).
     """
 
     times: Times
@@ -46,32 +46,32 @@ class Drive:
     interpolation: str
 
     def at(self, times: Times) -> dict[str, np.ndarray]:
-        """Values at other times; before the first row and after the last one they are held."""
+        """Return the values at other times; the first and last values are held outside."""
         if self.interpolation == "linear":
             return {name: np.interp(times, self.times, row) for name, row in self.values.items()}
-        # A sample that rounding put just before a step belongs after it.
+        # A sample that rounding places just before a step belongs after it.
         held = np.searchsorted(self.times - _SAME_TIME, times, side="right") - 1
         return {name: row[np.maximum(held, 0)] for name, row in self.values.items()}
 
     def corners(self) -> Times:
-        """Times at which a value jumps or changes its slope, s."""
+        """Return the times at which a value jumps or its slope changes, s."""
         table = np.stack(list(self.values.values()), axis=1)
         return np.asarray(logged(self.times, table, self.interpolation).times)
 
 
 def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
-    """Commands that go from the straight arm at 0 s through some movements.
+    """Return commands that take a straight arm at 0 s through some movements.
 
-    Each movement continues from where the one before it left its joint. A joint that no movement
-    names has no column.
+    Each movement starts from the final angle of the previous movement of its joint. A joint without
+    movements has no column.
 
     Arguments:
-        moves: steps only, or ramps only; at least one.
-        end: of the run, s.
+        moves: movements, at least one; either all steps or all ramps.
+        end: end of the run, s.
 
     Raises:
-        InputError: a joint beyond the arm, a movement outside the run, two that overlap, or
-            steps together with ramps.
+        InputError: a joint that the arm does not have, a movement outside the run, two movements
+            that overlap, or steps together with ramps.
     """
     steps = [move for move in moves if move.duration == 0]
     if steps and len(steps) < len(moves):
@@ -120,7 +120,7 @@ def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
         free_from = move.start + move.duration
         added = [(move.start, angles[-1]), (free_from, move.angle)]
         for time, angle in added[move.duration == 0 :]:
-            # What begins where the last one ended, or at 0 s, takes over that knot.
+            # A movement that begins at the end of the previous one, or at 0 s, replaces that knot.
             if time - times[-1] <= _SAME_TIME:
                 angles[-1] = angle
             else:
@@ -132,18 +132,18 @@ def _knots(moves: Sequence[Move]) -> tuple[Times, Times]:
 def sampled(
     drives: Sequence[Drive], *, start: float, duration: float, rate: float
 ) -> tuple[Times, dict[str, np.ndarray]]:
-    """Rows of a run: its samples, and one more at each corner that no sample falls on.
+    """Return the rows of a run: its samples, and a row at each corner between two samples.
 
-    They are times (s) and the values of all drives at them, SI. With a row at every corner, what is
-    read back from the rows is the same signal.
+    The rows are times (s) and the values of all drives at these times, SI. Because every corner has
+    a row, the signal that is read back from the rows is the same.
 
     Arguments:
         start: first time, s.
-        duration: s; a whole number of sampling intervals.
-        rate: samples per second.
+        duration: duration, s; a whole number of sampling intervals.
+        rate: number of samples per second.
 
     Raises:
-        InputError: a duration that is not a whole number of intervals, or far too many samples.
+        InputError: a duration that is not a whole number of intervals, or too many samples.
     """
     if not (0 < duration < np.inf and 0 < rate < np.inf):
         raise InputError(
@@ -184,15 +184,16 @@ def planned(
     definition: dict[str, Any] | None = None,
     name: str = "planned",
 ) -> Run:
-    """A run of an arm that is still to be recorded: what will be commanded, and when.
+    """Return a run of an arm that is still to be recorded: its commands and sample times.
 
     Arguments:
-        times: of the samples, s, shape (sample,).
-        inputs: what drives the arm, by channel (`joint01_command`), SI, each (sample,).
-        links: number of links of the arm, unless the definition states it.
-        channels: what will be recorded, which is 0; the positions of all links by default.
-        definition: what a sidecar would say.
-        name: of the run.
+        times: sample times, s, shape (sample,).
+        inputs: inputs of the arm by channel (`joint01_command`), SI, each of shape (sample,).
+        links: number of links of the arm, unless the definition contains it.
+        channels: channels to be recorded; their values are 0. The default is the positions of all
+            links.
+        definition: contents of the sidecar.
+        name: name of the run.
     """
     definition = dict(definition or {})
     arm = {"links": links, **definition.get("arm", {})}

@@ -1,4 +1,4 @@
-"""Gusts: a wind that changes in time, as rows that a run records.
+"""Gusts: an unsteady wind in the form of recorded rows.
 
 The spectra are von Karman's (Progress in the statistical theory of turbulence, PNAS 34, 1948,
 p. 530) for isotropic turbulence of standard deviation sigma and longitudinal length scale L that a
@@ -8,24 +8,24 @@ mean flow U carries past the arm, with a = 1.339 and n = f L / U:
     across it:        S(f) = 2 sigma^2 L/U (1 + 8/3 (2 pi a n)^2) / (1 + (2 pi a n)^2)^(11/6).
 
 The gusts are sums of cosines with random phases (Shinozuka and Deodatis, Simulation of stochastic
-processes by spectral representation, Applied Mechanics Reviews 44, 1991, p. 191). They have no
-frequency that their rows would not resolve, so they are smooth, as added mass needs them.
+processes by spectral representation, Applied Mechanics Reviews 44, 1991, p. 191). They contain only
+frequencies that their rows resolve. They are therefore smooth, as the added mass requires.
 
-They are the same along the whole arm, unless its places are given. Then they are coherent over
-distances: two places at r across the mean flow have the coherence
+By default they are the same along the whole arm. If the positions of the links are given, the gusts
+are coherent over distances: two positions at a distance r across the mean flow have the coherence
 
     exp(-a sqrt((f r / U)^2 + (0.12 r / L)^2)),    a = 12,
 
-of IEC 61400-1 (Wind energy generation systems, design requirements, annex of turbulence models),
-which is Davenport's exponential (The spectrum of horizontal gustiness near the ground in high
-winds, Quarterly Journal of the Royal Meteorological Society 87, 1961, p. 194) but for the second
-term: that one makes slow gusts end after some length scales, too. It is the root of the coherence
-of power, and used for all components. Along the mean flow gusts come later, by the distance over
-its speed (Taylor's frozen turbulence). At each frequency its matrix is factored (Shinozuka and Jan,
-Digital simulation of random processes and its applications, Journal of Sound and Vibration 25,
-1972, p. 111; Deodatis, Simulation of ergodic multivariate stochastic processes, Journal of
-Engineering Mechanics 122, 1996, p. 778). All factors have the same frequencies here, so that
-variances and coherences of places are right in the mean over seeds, and not of each run.
+of IEC 61400-1 (Wind energy generation systems, design requirements, annex of turbulence models).
+This is Davenport's exponential (The spectrum of horizontal gustiness near the ground in high winds,
+Quarterly Journal of the Royal Meteorological Society 87, 1961, p. 194) with a second term, which
+limits the extent of slow gusts to some length scales. It is the square root of the coherence of
+power, and is used for all components. Along the mean flow gusts are delayed by the distance divided
+by its speed (Taylor's frozen turbulence). The coherence matrix of each frequency is factored
+(Shinozuka and Jan, Digital simulation of random processes and its applications, Journal of Sound
+and Vibration 25, 1972, p. 111; Deodatis, Simulation of ergodic multivariate stochastic processes,
+Journal of Engineering Mechanics 122, 1996, p. 778). All factors have the same frequencies here.
+Variances and coherences are therefore exact in the mean over seeds, but not in each run.
 """
 
 import numpy as np
@@ -36,22 +36,23 @@ from ...runtime.text import InputError
 from ._drive import Drive
 
 RESOLVED = 0.5
-"""Highest frequency of gusts, as a share of the Nyquist frequency: the gusts contain no periods
+"""Highest frequency of gusts, as a fraction of the Nyquist frequency: the gusts contain no periods
 shorter than four samples.
 """
 
 DECAY = 12.0
 """Default decay of the coherence of gusts with distance, from IEC 61400-1."""
 
-_SLOW = 0.12  # of slow gusts, whose coherence ends after some length scales, in IEC 61400-1
+_SLOW = 0.12  # Coefficient that limits the extent of slow gusts, from IEC 61400-1.
 _LAMBDA = 2 * np.pi * 1.339
 
 
 def gusts_left_out(speed: float, *, length_scale: float, interval: float) -> tuple[float, float]:
-    """Shares of the variance of gusts that are quicker than their rows can say, and left out.
+    """Return the shares of the gust variance at frequencies that the rows cannot resolve.
 
-    One is along the mean flow (m/s) and one across it; the length scale is in m, the interval
-    between two rows in s. At the other end of the spectrum about 1 % is left out, too.
+    These frequencies are left out. The first share is along the mean flow (m/s), the second across
+    it. The length scale is in m, and the interval between two rows in s. At the low end of the
+    spectrum about 1 % is left out in addition.
     """
     highest = RESOLVED / (2 * interval)
     frequencies = np.geomspace(highest, 1e4 * max(highest, speed / length_scale), 4001)
@@ -59,7 +60,7 @@ def gusts_left_out(speed: float, *, length_scale: float, interval: float) -> tup
     along, across = (
         gust_spectrum(frequencies, deviation=1.0, along=so, **carried) for so in (True, False)
     )
-    # Beyond that the spectra fall by the power -5/3.
+    # Above the last frequency the spectra decrease with the power -5/3.
     beyond = 1.5 * frequencies[-1]
     return (
         float(np.trapezoid(along, frequencies) + beyond * along[-1]),
@@ -75,15 +76,15 @@ def gust_spectrum(
     length_scale: float,
     along: bool,
 ) -> Float[np.ndarray, " frequency"]:
-    """Von Karman's one-sided spectrum of one component of isotropic turbulence, m^2/s^2 per Hz.
+    """Return von Karman's one-sided spectrum of one component of turbulence, m^2/s^2 per Hz.
 
-    Its integral from 0 is the variance.
+    The integral of the spectrum from 0 is the variance.
 
     Arguments:
-        frequencies: Hz.
-        speed, deviation: of the mean flow, and standard deviation of the component, m/s.
+        frequencies: frequencies, Hz.
+        speed, deviation: speed of the mean flow and standard deviation of the component, m/s.
         length_scale: longitudinal length scale, m.
-        along: of the component along the mean flow, or of one across it.
+        along: whether the component is along the mean flow, or across it.
     """
     lasting = length_scale / speed
     square = (_LAMBDA * lasting * frequencies) ** 2
@@ -101,10 +102,11 @@ def gust_coherence(
     length_scale: float,
     decay: float = DECAY,
 ) -> Float[np.ndarray, "*frequency place place"]:
-    """Root coherences of gusts at places (m) and frequencies (Hz); 1 on the diagonal.
+    """Return the root coherences of gusts at places (m) and frequencies (Hz); 1 on the diagonal.
 
-    The lag along the mean flow, a direction of length 1, is left out. Speed is in m/s, the length
-    scale in m; the decay is over distances across the mean flow.
+    The lag along the mean flow is not included. `along` is the direction of the mean flow, of
+    length 1. The speed is in m/s, the length scale in m. The decay applies to distances across the
+    mean flow.
     """
     apart = places[:, None] - places[None]
     across = np.linalg.norm(apart - (apart @ along)[..., None] * along, axis=-1)
@@ -114,14 +116,14 @@ def gust_coherence(
 
 
 def wind_frame(along: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Along the mean flow, and two directions across it, the first as level as can be."""
+    """Return the mean flow direction and two directions across it, the first one horizontal."""
     upwards = np.array([0.0, 0.0, 1.0]) if abs(along[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     level = np.cross(upwards, along)
     level = level / np.linalg.norm(level)
     return along, level, np.cross(along, level)
 
 
-# Below the lowest frequency, a period of 400 times L/U, there is 1 % of the variance.
+# The lowest frequency has a period of 400 L/U. About 1 % of the variance is below it.
 _LINES = 400
 _LOWEST = 0.0025
 
@@ -139,30 +141,34 @@ def gusts(
     decay: float = DECAY,
     lines: int = _LINES,
 ) -> Drive:
-    """An unsteady wind, the same along the whole arm or coherent from link to link.
+    """Return an unsteady wind, either the same along the whole arm or coherent from link to link.
 
     Arguments:
-        mean: velocity of the mean flow in the base frame, m/s, shape (3,); not 0, because it is
-            what carries the gusts past the arm.
-        intensity: of the turbulence: standard deviations over the mean speed, one number, or one
-            along the mean flow, one across it on the level and one across both.
-        length_scale: longitudinal length scale L, m; a gust lasts about L over the mean speed.
-        duration: of the wind, s.
+        mean: velocity of the mean flow in the base frame, m/s, shape (3,). It must not be 0,
+            because the mean flow carries the gusts past the arm.
+        intensity: turbulence intensity: standard deviations divided by the mean speed. Either one
+            number, or three: along the mean flow, horizontally across it, and across both.
+        length_scale: longitudinal length scale L, m; a gust lasts about L divided by the mean
+            speed.
+        duration: duration of the wind, s.
         start: first time, s.
-        interval: between two rows, s; gusts quicker than four of them are left out
-            (`gusts_left_out` says how much of the variance that is).
-        seed: of the phases. A component has its own, whatever the others are.
-        places: of the links where the arm rests, m, shape (link, 3); None for one wind.
-        decay: of the coherence over distances, a above; 0 for one wind but for its lag.
-        lines: number of frequencies, evenly spaced in their logarithm. In a long record bins of a
-            spectrum are narrower than lines are apart, and some have none, unless there are more.
+        interval: interval between two rows, s. Gusts with periods below four intervals are left out
+            (`gusts_left_out` returns their share of the variance).
+        seed: seed of the phases. Each component has its own phases, independent of the others.
+        places: positions of the links of the resting arm, m, shape (link, 3); None for a uniform
+            wind.
+        decay: decay of the coherence with distance, a above. With 0 the wind is uniform except for
+            its lag.
+        lines: number of frequencies, evenly spaced in their logarithm. In a long record, the bins
+            of a spectrum may be narrower than the spacing of the lines, so that some bins are
+            empty.
 
     Returns:
-        The wind at its rows, linear between them: `wind_x`, `wind_y`, `wind_z`, or with places
-        `link01_wind_x` and on.
+        The rows of the wind, with linear interpolation: `wind_x`, `wind_y` and `wind_z`, or with
+        places `link01_wind_x` and so on.
 
     Raises:
-        InputError: no mean flow, numbers that are not positive, or places of another shape.
+        InputError: no mean flow, a number that is not positive, or places of a wrong shape.
 
     Example:
         >>> import giajax
@@ -223,14 +229,15 @@ def gusts(
         sizes = np.sqrt(2 * spectrum * np.diff(edges))
         phases = 2 * np.pi * np.random.default_rng([seed, component]).uniform(size=(lines, count))
         gust = np.zeros((len(times), count))
-        # One after the other: a table of all would be hundreds of times as large as the run.
+        # Add the frequencies one by one: a table of all would be hundreds of times as large as the
+        # run.
         for frequency, size, phase in zip(frequencies, sizes, phases, strict=True):
             turned = 2 * np.pi * frequency * (times - start)
             if where is None:
                 gust += size * np.cos(turned[:, None] + phase)
                 continue
             coherence = gust_coherence(where, frequency, along=along, decay=decay, **carried)
-            # Places that are one have the same wind.
+            # The small diagonal term is needed because coincident places make the matrix singular.
             root = np.linalg.cholesky(coherence + 1e-9 * np.eye(count))
             late = np.exp(-2j * np.pi * frequency * (where @ along) / speed)
             here = root @ np.exp(1j * phase) * late

@@ -1,4 +1,4 @@
-"""A run as another experiment would have recorded it: any model, and every kind of error."""
+"""Synthetic recordings: the channels that a model predicts, with measurement errors."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -26,20 +26,21 @@ from ...simulation import RESULTS, SimulationError, Trajectory, logged
 
 @dataclasses.dataclass(frozen=True)
 class RecordingErrors:
-    """What goes wrong between a motion and its file.
+    """Errors of a recording.
 
-    Standard deviations and sizes are SI, by quantity (`position`, `angle`, `rate`) or by channel.
-    A turned, shifted or late camera is not an error of this kind: it is a parameter of the model.
+    Standard deviations and sizes are in SI units, by quantity (`position`, `angle`, `rate`) or by
+    channel. A rotated, shifted or delayed camera is not an error of this kind: it is described by
+    parameters of the model.
 
     Attributes:
-        white: standard deviation of noise that each sample has by itself.
-        correlated: standard deviation of noise that drifts (Ornstein-Uhlenbeck).
-        correlation_time: in which the correlation of the drift falls to 1/e, s.
-        missing: fraction of cells that are empty here and there, in [0, 1).
-        bursts: fraction of the samples of each link or joint that is lost in whole stretches.
-        burst_duration: of each stretch, s.
-        outliers: fraction of cells that are far off, in [0, 1).
-        outlier_size: how far, to either side.
+        white: standard deviation of the white noise.
+        correlated: standard deviation of the correlated noise (Ornstein-Uhlenbeck).
+        correlation_time: time in which the correlation decreases to 1/e, s.
+        missing: fraction of cells that are empty, at random places, in [0, 1).
+        bursts: fraction of the samples of each link or joint that are lost in contiguous intervals.
+        burst_duration: duration of each such interval, s.
+        outliers: fraction of cells that are outliers, in [0, 1).
+        outlier_size: magnitude of an outlier; its sign is random.
     """
 
     white: Mapping[str, float] = dataclasses.field(default_factory=dict)
@@ -66,7 +67,7 @@ class RecordingErrors:
 
 
 def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
-    """A run with errors added to what it recorded, and the noise in its sidecar.
+    """Return a run with errors added to its recorded values, and with their noise in its sidecar.
 
     Raises:
         InputError: correlated noise or bursts in a run without times.
@@ -103,7 +104,8 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
         key: float(np.hypot(errors.white.get(key, 0.0), errors.correlated.get(key, 0.0)))
         for key in {**errors.white, **errors.correlated}
     }
-    # A channel with a key of its own in one of them has the other by its quantity.
+    # A channel may have its own value for one kind of noise, and that of its quantity for the
+    # other.
     for name in set(total) & set(run.observations):
         total[name] = float(np.hypot(white[name], drift[name]))
     return Run.from_arrays(
@@ -118,9 +120,9 @@ def with_errors(run: Run, errors: RecordingErrors, *, seed: int = 0) -> Run:
 def drifting(
     times: Float[np.ndarray, " sample"], correlation_time: float, random: np.random.Generator
 ) -> Float[np.ndarray, " sample"]:
-    """Stationary Ornstein-Uhlenbeck noise of unit variance: <x(s) x(t)> = exp(-|s - t| / tau).
+    """Return stationary Ornstein-Uhlenbeck noise with <x(s) x(t)> = exp(-|s - t| / tau).
 
-    Exact for any spacing of the samples.
+    Its variance is 1. It is exact for any spacing of the samples.
     """
     kept = np.exp(-np.diff(times) / correlation_time)
     kicks = random.standard_normal(len(times))
@@ -132,7 +134,7 @@ def drifting(
 
 
 def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
-    """Deviations by measured channel, from those by quantity or channel; 0 where there is none."""
+    """Return the deviation of each measured channel, given by quantity or channel; 0 by default."""
     bare = {key: value for key, value in run.definition.contents().items() if key != "noise"}
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
@@ -146,7 +148,7 @@ def _stream(seed: int, kind: str, name: str) -> np.random.Generator:
 
 
 def _some(count: int, fraction: float, random: np.random.Generator) -> npt.NDArray[Any]:
-    """An exact number of rows, rounded down."""
+    """Return random rows, their exact number rounded down."""
     return random.permutation(count)[: int(fraction * count)]
 
 
@@ -156,14 +158,14 @@ def _stretches(
     duration: float,
     random: np.random.Generator,
 ) -> npt.NDArray[np.bool_]:
-    """Rows in stretches of a duration, as many as the fraction needs, the last one cut."""
+    """Return rows in intervals of a duration; the last one is cut to reach the fraction."""
     lost = np.zeros(len(times), bool)
     count = int(fraction * len(times))
     while (left := count - int(lost.sum())) > 0:
         begin = random.uniform(times[0] - duration / 2, times[-1])
         rows = np.flatnonzero((times >= begin) & (times < begin + duration) & ~lost)
         lost[rows[:left]] = True
-        # A duration below the spacing may hit no row.
+        # An interval shorter than the sample spacing may contain no row.
         if duration < np.min(np.diff(times)) and not len(rows):
             lost[random.integers(len(times))] = True
     return lost
@@ -182,29 +184,28 @@ def synthesise(
     constants: AbstractModel | None = None,
     name: str = "synthetic",
 ) -> Run:
-    """A run as an experiment would record it: what the model predicts, with noise and gaps.
+    """Return a run as an experiment would record it: the prediction of a model with noise and gaps.
 
-    The model gets the inputs as the run would give them, between whose rows they are linear
-    or held as `definition` says: predicting the returned run with the same model gives the same
-    channels without noise.
+    The model gets the inputs in the form in which the run contains them: between rows they are
+    linear or held as `definition` specifies. A prediction of the returned run with the same model
+    therefore gives the same channels without noise.
 
-    The noise is white and normal; where a cell is empty it is NaN. Each channel has a random stream
-    of its own, made from the seed and its name, so that recording more channels does not change
-    the others.
+    The noise is white and normal. Empty cells are NaN. Each channel has its own random stream,
+    derived from the seed and the name of the channel. Recording more channels therefore does not
+    change the others.
 
     Arguments:
-        model: the truth.
-        times: increasing, s, shape (sample,); None for a static run.
-        inputs: what drives the model, by channel (`joint01_command`, `wind_x`), SI, each of
-            shape (sample,). Without any the definition must allow a free motion.
+        model: the true model.
+        times: increasing times, s, shape (sample,); None for a static run.
+        inputs: inputs of the model by channel (`joint01_command`, `wind_x`), SI, each of shape
+            (sample,). Without inputs the definition must allow a free motion.
         channels: names of the channels to record (`link06_z`, `tip_x`).
-        noise: standard deviations, SI, by quantity (`position`, `angle`, `rate`) or channel;
-            beside those that the definition states.
+        noise: standard deviations, SI, by quantity (`position`, `angle`, `rate`) or channel, in
+            addition to those in the definition.
         missing: fraction of the samples of each channel that are left empty, in [0, 1).
-        seed: of the noise and the gaps.
-        definition: what a sidecar would say of the run; the constants of the model are added.
-        constants: the model whose constants are added instead, such as one that knows nothing of a
-            turned camera.
+        seed: seed of the noise and the gaps.
+        definition: contents of the sidecar of the run; the constants of the model are added.
+        constants: model whose constants are added instead, such as one without a rotated camera.
 
     Raises:
         InputError: a channel that the model cannot predict, or `missing` outside [0, 1).
@@ -229,7 +230,7 @@ def synthesise(
     times = None if times is None else np.asarray(times, dtype=float)
     if not isinstance(definition, Definition):
         definition = Definition.parse(definition or {}, f"{name}: definition")
-    # The model is prepared by a run that has the channels, as yet without values.
+    # The model is prepared from a run that has the channels, but no values yet.
     samples = len(np.asarray(next(iter(inputs.values()))) if times is None else times)
     blank = {channel: np.zeros(samples) for channel in channels}
     plan = Run.from_arrays(
@@ -245,7 +246,7 @@ def synthesise(
     unknown = [channel for channel in channels if channel not in plan.observations]
     if unknown:
         raise InputError(
-            f"'{unknown[0]}' is an input of the model and not predicted: record another channel"
+            f"'{unknown[0]}' is an input of the model and is not predicted: record another channel"
         )
     predicted, _ = _predicted(model, plan, tuple(channels))
     recorded: dict[str, Any] = {}
@@ -253,13 +254,13 @@ def synthesise(
         random, exact = np.random.default_rng([seed, *channel.encode()]), predicted[channel]
         deviation = plan.noise(channel) or 0.0
         recorded[channel] = exact + deviation * random.standard_normal(len(exact))
-        # An exact number, rounded down: a channel is never left without a value.
+        # The number of gaps is exact and rounded down: a channel always keeps at least one value.
         recorded[channel][_some(len(exact), missing, random)] = np.nan
     return Run.from_arrays(times, {**inputs, **recorded}, name=name, definition=plan.definition)
 
 
 def known_exactly(model: AbstractModel, run: Run) -> Run:
-    """A run that no device recorded: unless its definition says so, nothing of it is uncertain."""
+    """Return a run without uncertain quantities, unless its definition specifies some."""
     if not capabilities.uncertain(model, [run]):
         return run
     exact = Definition.parse({"uncertainty": {"defaults": False}}, run.name)
@@ -269,7 +270,7 @@ def known_exactly(model: AbstractModel, run: Run) -> Run:
 def _predicted(
     model: AbstractModel, run: Run, channels: tuple[str, ...]
 ) -> tuple[dict[str, npt.NDArray[np.float64]], Any]:
-    """Channels of a run, NaN where no experiment could record them, and the prepared run."""
+    """Return the channels of a run, NaN where they cannot be observed, and the prepared run."""
     prepared = model.prepare(run)
     predicted, successful = predicted_channels(model, prepared, channels, run)
     if not successful:
@@ -282,12 +283,12 @@ def _predicted(
 
 
 def _constants(model: AbstractModel) -> dict[str, Any]:
-    """What the model knows of itself that a sidecar can state."""
+    """Return the properties of the model that a sidecar can contain."""
     known = {key: one for key, one in model.definition().items() if key in Definition.model_fields}
     return {**known, "model": model.kind}
 
 
-# What a sidecar says of one recording, and not of what was recorded.
+# Keys of the sidecar that describe one recording, not the recorded system.
 _OF_THE_FILE = ("noise", "truth", "sha256", "fit", "figures", "origin", "licence")
 
 
@@ -301,23 +302,24 @@ def recorded_again(
     truth: Sequence[str] = (),
     name: str = "synthetic",
 ) -> Run:
-    """The run that an experiment with the inputs of `run` would record, if the model were true.
+    """Return the run that an experiment with the inputs of `run` would record of the given model.
 
-    The sidecar of `run` is kept, apart from its noise: what the model knows better than it, such
-    as a turned camera, stands in `[truth]` alone, for a fit to find. The noise in the sidecar is
-    white and correlated noise together.
+    The sidecar of `run` is kept, apart from its noise. Parameters that only the model has, such as
+    a rotated camera, are listed in `[truth]` only, so that a fit can estimate them. The noise in
+    the sidecar is the sum of white and correlated noise.
 
     Arguments:
-        model: the truth.
-        run: gives inputs, times and sidecar; what it recorded counts for its first row only.
-        errors: of the recording; none by default.
-        channels: to record, without unit; those of `run` by default.
-        seed: of all errors. Each kind and channel has a random stream of its own.
-        truth: paths of parameters to state in `[truth]`, beside those that a fit frees.
+        model: the true model.
+        run: run that supplies inputs, times and sidecar. Of its recorded values only the first row
+            is used.
+        errors: errors of the recording; none by default.
+        channels: channels to record, without unit; those of `run` by default.
+        seed: seed of all errors. Each kind of error and each channel has its own random stream.
+        truth: paths of parameters to list in `[truth]`, in addition to those that a fit frees.
 
     Raises:
-        InputError: nothing to record, a channel that the model cannot predict, or errors that
-            need times of a run that has none.
+        InputError: no channel to record, a channel that the model cannot predict, or errors
+            that need times although the run has none.
         SimulationError: the model cannot be evaluated.
     """
     errors = RecordingErrors() if errors is None else errors
@@ -332,7 +334,7 @@ def recorded_again(
     made = dataclasses.asdict(errors)
     facts["recording"] = {key: value for key, value in made.items() if value not in ({}, 0.0)}
     if run.definition.section(InitialSection).first_row:
-        # The first row of the new run has noise, or is not recorded.
+        # The first row of the new run is noisy or not recorded.
         kept = {key: value for key, value in sections["initial"].items() if key != "first_row"}
         sections["initial"] = {**kept, **capabilities.initial_section(model, prepared)}
     exact = Run.from_arrays(
@@ -352,7 +354,7 @@ def logged_motion(
     commands: Float[np.ndarray, "row joint"],
     wind: Float[np.ndarray, "row width"],
 ) -> Trajectory:
-    """The motion of an arm that went through some rows, SI, without what only its steps know."""
+    """Return a motion made of rows, SI, without the quantities that only the integrator knows."""
     return Trajectory(
         times=jnp.asarray(times),
         angles=jnp.asarray(angles),
@@ -369,7 +371,7 @@ def logged_motion(
 
 
 def command_columns(commands: Float[np.ndarray, "row joint"]) -> dict[str, np.ndarray]:
-    """Commanded angles by channel, of the joints that are moved."""
+    """Return the commanded angles by channel, for the joints that move."""
     named = {f"joint{joint:02d}_command": row for joint, row in enumerate(commands.T, start=1)}
     return {name: row for name, row in named.items() if np.any(row)}
 
@@ -383,7 +385,7 @@ def driven_run(
     noise: Mapping[str, float] | None = None,
     origin: str = "",
 ) -> Run:
-    """A run of channels (SI) between whose rows commands, and wind if there is one, are linear."""
+    """Return a run of channels (SI); its commands, and its wind if any, are linear between rows."""
     facts: dict[str, Any] = {"arm": preset_of(model.arm), "command": {"interpolation": "linear"}}
     if any("wind" in channel for channel in values):
         facts["wind"] = {"interpolation": "linear"}

@@ -1,4 +1,4 @@
-"""Where an arm is and what the air does, from late and noisy measurements."""
+"""Track the state of an arm and the wind from late and noisy measurements."""
 
 from ._arm import (
     Air as Air,

@@ -1,4 +1,4 @@
-"""An arm as a filter sees it: what is unknown of it, how that moves, and what sensors show."""
+"""State-space model of an arm for the filter: state vector, motion and measurements."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -27,13 +27,15 @@ _DELAYS = (CAMERA.delay.path, ENCODER.delay.path)
 
 @dataclasses.dataclass(frozen=True)
 class Air:
-    """A wind that is unknown: a mean flow, and gusts about it, which are von Karman's.
+    """Unknown wind: a mean flow with von Karman gusts.
 
     Attributes:
-        wind: the mean flow to begin with, deviation, length scale and decay of its gusts.
-        mean_deviation: standard deviation of each component of the mean flow, m/s.
-        drift: by which each component of the mean flow has moved after 100 s, m/s.
-        places: along the arm, between which gusts are linear; 1: the same for the whole arm.
+        wind: initial guess of the mean flow, and standard deviation, length scale and decay
+            coefficient of the gusts.
+        mean_deviation: initial standard deviation of each component of the mean flow, m/s.
+        drift: standard deviation of the drift of each component of the mean flow in 100 s, m/s.
+        places: number of places along the arm between which gusts are interpolated linearly; 1 for
+            the same gusts along the whole arm.
     """
 
     wind: Turbulence
@@ -44,12 +46,12 @@ class Air:
 
 @dataclasses.dataclass(frozen=True)
 class Bias:
-    """What is added to channels by their sensor, and changes slowly.
+    """Constant or slowly varying bias of a sensor.
 
     Attributes:
-        channels: that have it, all of them the same.
-        deviation: SI.
-        lasting: s; infinite of what is constant.
+        channels: channels that all have the same bias.
+        deviation: standard deviation, SI units.
+        lasting: correlation time, s; infinite for a constant bias.
     """
 
     channels: tuple[str, ...]
@@ -58,14 +60,14 @@ class Bias:
 
 
 class Held(NamedTuple):
-    """What is known of an interval of time.
+    """Known inputs of an interval.
 
     Attributes:
-        time: at its beginning, s.
-        length: s.
+        time: time of its beginning, s.
+        length: length, s.
         command: commanded angles at its beginning and end, rad, shape (2, joint).
-        wind: known velocity of the air then, m/s, of the whole arm or of link after link, shape
-            (2, width).
+        wind: known velocity of the air at its beginning and end, m/s, for the whole arm or for each
+            link, shape (2, width).
     """
 
     time: Scalar
@@ -78,11 +80,11 @@ class _Gusts(eqx.Module):
     """Mean flow and gusts as states.
 
     Attributes:
-        along: share of each place in the wind of each link, shape (link, place).
+        along: interpolation weight of each place for each link, shape (link, place).
         frame: directions along the mean flow and across it, as columns.
-        lasting: of gusts in each of them, s.
-        root: of the covariance of gusts at all places, m/s, for each direction.
-        walk: m/s per root of s.
+        lasting: correlation time of the gusts in each direction, s.
+        root: square root of the covariance of the gusts at all places, m/s, for each direction.
+        walk: random-walk intensity of the mean flow, (m/s)/sqrt(s).
     """
 
     along: Float[Array, "link place"]
@@ -96,34 +98,35 @@ class _Gusts(eqx.Module):
         return self.along.shape[1]
 
     def roots(self) -> np.ndarray:
-        """Root of the covariance of gusts in the order of their states."""
+        """Return the root of the covariance of the gusts, in the order of their states."""
         return np.asarray(jax.scipy.linalg.block_diag(*self.root))
 
     def of_links(self, mean: Array, gusts: Array) -> Array:
-        """Velocities by mean flow and gusts (direction, place), flat."""
+        """Return the velocity at each link, flattened; gusts have the shape (direction, place)."""
         local = self.frame @ gusts + mean[:, None]
         return (self.along @ local.T).ravel()
 
 
 class TrackedArm(eqx.Module):
-    """What is unknown of an arm in one vector.
+    """State-space model of an arm.
 
-    In it are, in this order: angles (rad), rates (rad/s) and what else joints remember; angles that
-    lagging drives have reached (rad); mean flow and gusts (m/s); parameters; biases.
+    The state vector contains, in this order: angles, rad, rates, rad/s, and hysteresis states of
+    the joints; angles reached by lagging drives, rad; mean flow and gusts, m/s; parameters; biases.
 
     Attributes:
-        model: the arm and its sensors, whose clocks are right.
-        channels: that are measured.
-        noise: their standard deviations, SI.
-        rows: of the arm's state, for each joint.
-        paths: of the parameters.
-        torque: unmodelled torque of each joint, as white noise, N m root(s).
-        bias_of: which channels a bias is added to, shape (channel, bias).
-        bias_lasting: s.
-        bias_deviation: SI.
-        ties: of parameters that follow from others.
-        late: nominal delays of `camera.delay` and `encoder.delay`, s, which measurements already
-            have.
+        model: arm and its sensors, without clock errors.
+        channels: measured channels.
+        noise: standard deviations of the noise of the channels, SI units.
+        rows: number of states per joint.
+        paths: paths of the parameters in the state vector.
+        gusts: mean flow and gusts; None if the wind is not tracked.
+        torque: unmodelled torque of each joint, as white noise, N m sqrt(s).
+        bias_of: 1 for each channel that a bias is added to, else 0, shape (channel, bias).
+        bias_lasting: correlation times of the biases, s.
+        bias_deviation: standard deviations of the biases, SI units.
+        late: nominal values of `camera.delay` and `encoder.delay`, s, which are already included in
+            the times of the measurements.
+        ties: ties of parameters that depend on others.
     """
 
     model: ArmModel
@@ -139,7 +142,7 @@ class TrackedArm(eqx.Module):
     late: Float[Array, "2"]
     ties: tuple[Tie, ...] = eqx.field(static=True, default=())
 
-    # --- where things are ---
+    # --- layout of the state vector ---
 
     @property
     def joints(self) -> int:
@@ -150,7 +153,7 @@ class TrackedArm(eqx.Module):
         return self.model.arm.joints.drive_lag is not None
 
     def sizes(self) -> dict[str, int]:
-        """How many numbers each part has, in the order of the vector."""
+        """Return the number of states of each part, in the order of the state vector."""
         places = 0 if self.gusts is None else self.gusts.places
         return {
             "arm": self.rows * self.joints,
@@ -162,7 +165,7 @@ class TrackedArm(eqx.Module):
         }
 
     def slices(self) -> dict[str, slice]:
-        """Where each part is."""
+        """Return the position of each part in the state vector."""
         found, begin = {}, 0
         for name, size in self.sizes().items():
             found[name] = slice(begin, begin + size)
@@ -174,11 +177,11 @@ class TrackedArm(eqx.Module):
         return sum(self.sizes().values())
 
     def delay_of(self, path: str) -> float | None:
-        """The delay (s) that measurements already have, of the path of a delay."""
+        """Return the nominal delay, s, if a path is that of a delay; else None."""
         return float(self.late[_DELAYS.index(path)]) if path in _DELAYS else None
 
     def memory_at(self, vector: np.ndarray, command: np.ndarray) -> Array:
-        """The arm's state by angles and rates of a vector, where nothing strains the joints."""
+        """Return the arm's state for the angles and rates of a vector, with unstrained joints."""
         count = self.joints
         arm = _without_drives(self.model)
         begun = Stepper(arm, jnp.ones(())).start(
@@ -187,17 +190,20 @@ class TrackedArm(eqx.Module):
         return begun.state
 
     def followed(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What drives have reached of a command that rests, and what springs are pulled to, rad."""
+        """Return the angles that drives reach for a constant command, rad.
+
+        The second result is the same angles after the saturation, to which the springs pull.
+        """
         gain = self.model.arm.joints.drive_gain
         reached = command if gain is None else command * np.asarray(gain)
         return reached, np.asarray(_saturated(self.model.arm.joints, jnp.asarray(reached)))
 
     def arm_state(self, vector: Array) -> Array:
-        """Angles, rates and so on, shape (row, joint)."""
+        """Return the angles, rates and hysteresis states of a vector, shape (row, joint)."""
         return vector[self.slices()["arm"]].reshape(self.rows, self.joints)
 
     def wind(self, vector: Array) -> Array | None:
-        """Unknown velocity of the air at each link, m/s, shape (link, 3)."""
+        """Return the unknown velocity of the air at each link, m/s, shape (link, 3)."""
         if self.gusts is None:
             return None
         where = self.slices()
@@ -205,17 +211,17 @@ class TrackedArm(eqx.Module):
         return self.gusts.of_links(vector[where["mean flow"]], gusts).reshape(-1, 3)
 
     def with_parameters(self, vector: Array) -> ArmModel:
-        """The model with the parameters of a vector."""
+        """Return the model with the parameters of a state vector."""
         values = vector[self.slices()["parameters"]]
         known = {
             path: values[index] for index, path in enumerate(self.paths) if path not in _DELAYS
         }
         return tied(replace(self.model, known), self.ties) if known else self.model
 
-    # --- how it moves ---
+    # --- motion ---
 
     def moved(self, vector: Array, held: Held) -> tuple[Array, Array, Array]:
-        """Where the vector moves to, its derivatives, and a root of what is added by chance."""
+        """Return the vector after an interval, its derivatives, and the root of the added noise."""
         where, size = self.slices(), self.size
         biases = where["biases"]
         moving = biases.start
@@ -246,7 +252,7 @@ class TrackedArm(eqx.Module):
         return moved, slope, jnp.concatenate([pushed, blown, drifted], axis=1)
 
     def expected(self, vector: Array, held: Held) -> Array:
-        """Where the vector moves to, biases apart, without anything that is added by chance."""
+        """Return the vector after an interval without noise; the biases are not changed."""
         moving = self.slices()["biases"].start
         chance = 0 if self.gusts is None else 3 + 3 * self.gusts.places
         after = self._moved(vector[:moving], jnp.zeros(chance, vector.dtype), held)
@@ -289,10 +295,10 @@ class TrackedArm(eqx.Module):
         parameters = vector[where["parameters"]]
         return jnp.concatenate([later.state.ravel(), drive, flow, gusts, parameters])
 
-    # --- what sensors show ---
+    # --- measurements ---
 
     def shown(self, vector: Array, held: Held) -> tuple[Array, Array]:
-        """Channels at the end of an interval, and their derivatives."""
+        """Return the channels at the end of an interval, and their derivatives."""
 
         def both(vector: Array) -> tuple[Array, Array]:
             seen = self._shown(vector, held)
@@ -323,7 +329,7 @@ class TrackedArm(eqx.Module):
         return values + self.bias_of @ vector[where["biases"]]
 
     def motion(self, vector: Array, held: Held, model: ArmModel | None = None) -> Trajectory:
-        """The arm at the end of an interval, as a motion of one sample."""
+        """Return the motion of the arm at the end of an interval, as one sample."""
         model = self.with_parameters(vector) if model is None else model
         state, wind = self.arm_state(vector), self.wind(vector)
         flow = held.wind[1]
@@ -352,7 +358,7 @@ class TrackedArm(eqx.Module):
 
 
 def _saturated(joints: Any, angle: Array) -> Array:
-    """What drives that saturate make of an angle, rad."""
+    """Return an angle after the saturation of the drives, rad."""
     saturation = joints.drive_saturation
     if saturation is None:
         return angle
@@ -360,13 +366,13 @@ def _saturated(joints: Any, angle: Array) -> Array:
 
 
 def constant_signal(value: Array) -> Any:
-    """A signal that never changes, also of a value that is traced."""
+    """Return a constant signal; the value can be traced."""
     still = constant(np.zeros(value.shape))
     return dataclasses.replace(still, values=value[None])
 
 
 def _earlier(motion: Trajectory, by: Scalar) -> Trajectory:
-    """A motion by some tenths of a second earlier."""
+    """Return a motion shifted to an earlier time by some tenths of a second, to second order."""
     slope = motion.accelerations
     return dataclasses.replace(
         motion,
@@ -376,7 +382,7 @@ def _earlier(motion: Trajectory, by: Scalar) -> Trajectory:
 
 
 def delay_path(name: str) -> str:
-    """The path of the delay that a channel has; empty where it has one of its own, or none."""
+    """Return the path of the common delay of a channel; empty if it has its own delay or none."""
     channel = Channel.named(name)
     if channel.quantity in ("length", "pixel"):
         return _DELAYS[0]
@@ -394,21 +400,21 @@ def tracked_arm(
     torque: float,
     ties: Mapping[str, str] | None = None,
 ) -> TrackedArm:
-    """What is unknown of an arm whose channels are measured.
+    """Return the state-space model of an arm.
 
     Arguments:
-        model: the arm and its sensors.
-        channels: that are measured.
-        noise: standard deviation of each channel, SI.
-        air: the wind, where it is unknown.
-        biases: of sensors.
-        paths: of parameters that are uncertain, each a single number.
-        torque: unmodelled torque of each joint, as white noise, N m root(s).
-        ties: of parameters that follow from others, as of a fit.
+        model: arm and its sensors.
+        channels: measured channels.
+        noise: standard deviation of the noise of each channel, SI units.
+        air: unknown wind, if any.
+        biases: unknown biases of sensors.
+        paths: paths of the uncertain parameters, each a single number.
+        torque: unmodelled torque of each joint, as white noise, N m sqrt(s).
+        ties: path of a parameter that depends on others -> expression, as in a fit.
 
     Raises:
-        InputError: a clock rate, a parameter that has several numbers, a channel of a link that
-            the arm does not have, or an arm among obstacles.
+        InputError: a clock has a rate, a parameter has several elements, a channel belongs to a
+            link that the arm does not have, or the arm has obstacles.
     """
     if model.arm.contact is not None:
         raise InputError("the arm has obstacles, which tracking does not support: remove them")
@@ -479,13 +485,14 @@ def _bias_columns(
 
 
 def _gusts_along(model: ArmModel, air: Air) -> _Gusts:
-    """Places of gusts along the straight arm, and how gusts there belong together."""
+    """Return the model of the gusts at places along the straight arm, with their covariance."""
     wind, count = air.wind, model.arm.count
     centres = np.asarray(link_centres(model.arm, jnp.zeros(count)))
     along = np.linalg.norm(centres - centres[0], axis=1)
     if air.places < 1 or air.places > count:
         raise InputError(
-            f"gusts are to be tracked at {air.places} places of the arm: give 1 to {count}"
+            f"the number of places at which gusts are tracked is {air.places}: give a number from "
+            f"1 to {count}"
         )
     if air.places == 1:
         share, where = np.ones((count, 1)), centres[count // 2][None]
@@ -505,7 +512,7 @@ def _gusts_along(model: ArmModel, air: Air) -> _Gusts:
         weights = spectrum * np.gradient(frequencies)
         common = np.tensordot(weights / np.sum(weights), together, axes=1)
         roots.append(deviation * np.linalg.cholesky(common + 1e-9 * np.eye(len(where))))
-        # The spectrum at zero is that of von Karman's.
+        # The correlation time gives the von Karman spectrum at zero frequency.
         lasting.append(lasts if component == 0 else lasts / 2)
     return _Gusts(
         along=jnp.asarray(share),

@@ -1,15 +1,16 @@
-"""Square-root Kalman filter and smoother: normal distributions by a root of their covariance.
+"""Square-root Kalman filter and smoother.
 
-A root L has L L^T = P. Sums of covariances are stacked roots, made triangular again by QR, so that
-no covariance is ever formed, is always symmetric and stays positive definite in rounding.
+A normal distribution is represented by its mean and a square root L of its covariance, L L^T = P.
+A sum of covariances is computed by QR decomposition of the stacked roots. Covariances are never
+formed, and remain symmetric and positive definite despite rounding errors.
 
 - Prediction and measurement: Kaminski, Bryson and Schmidt, Discrete square root filtering: a survey
   of current techniques, IEEE Trans. Automatic Control 16 (1971) 727.
-- Considered parameters, which are uncertain and not estimated: Schmidt, Application of state-space
+- Consider parameters, which are uncertain and not estimated: Schmidt, Application of state-space
   methods to navigation problems, Advances in Control Systems 3 (1966) 293.
 - Smoother: Rauch, Tung and Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA
-  Journal 3 (1965) 1445; in square-root form Park and Kailath, IEEE Trans. Automatic Control 41
-  (1996) 727, as a sum of three roots here.
+  Journal 3 (1965) 1445; in square-root form by Park and Kailath, IEEE Trans. Automatic Control 41
+  (1996) 727, and here as a sum of three roots.
 """
 
 import math
@@ -22,11 +23,11 @@ from ...runtime.arrays import Array, Bool, Float
 
 
 class Gaussian(NamedTuple):
-    """A normal distribution.
+    """Normal distribution.
 
     Attributes:
-        mean: shape (state,).
-        root: lower triangular, of which root root^T is the covariance, shape (state, state).
+        mean: mean, shape (state,).
+        root: lower triangular square root of the covariance root root^T, shape (state, state).
     """
 
     mean: Float[Array, " state"]
@@ -44,9 +45,9 @@ class Gaussian(NamedTuple):
 
 
 def root_of_sum(*roots: Float[Array, "state _"]) -> Float[Array, "state state"]:
-    """Lower triangular root of a sum of covariances, by their roots side by side."""
+    """Return the lower triangular root of a sum of covariances, given their roots."""
     upper = jnp.linalg.qr(jnp.concatenate(roots, axis=1).T, mode="r")
-    # As many rows as states, also where the roots have fewer columns.
+    # Pad to one row per state, because the roots may have fewer columns.
     missing = upper.shape[1] - upper.shape[0]
     return jnp.pad(upper, ((0, max(missing, 0)), (0, 0))).T
 
@@ -57,26 +58,27 @@ def moved(
     slope: Float[Array, "state state"],
     noise: Float[Array, "state noise"],
 ) -> Gaussian:
-    """The distribution after a motion.
+    """Return the distribution after a motion.
 
     Arguments:
-        before: it.
-        mean: where its mean moves to.
-        slope: derivatives of that by the mean before.
-        noise: root of the covariance that the motion adds.
+        before: distribution before the motion.
+        mean: mean after the motion.
+        slope: derivatives of the mean after the motion with respect to the mean before.
+        noise: square root of the covariance that the motion adds.
     """
     return Gaussian(mean, root_of_sum(slope @ before.root, noise))
 
 
 class Innovation(NamedTuple):
-    """What measurements were beside what was expected.
+    """Innovation of the measurements of one time.
 
     Attributes:
-        off: measured minus expected, 0 of what was not measured, shape (channel,).
-        deviations: expected of that, shape (channel,).
-        nis: square of all that was measured, over what is expected; outliers count.
-        whitened: what was used, as numbers that are independent and of deviation 1; 0 of the rest.
-        log_likelihood: of what was used.
+        off: measured minus predicted values, shape (channel,); 0 if not measured.
+        deviations: predicted standard deviations of `off`, shape (channel,).
+        nis: normalised innovation squared of all measurements, including outliers.
+        whitened: whitened innovations of the used measurements, with standard deviation 1; 0 for
+            all others.
+        log_likelihood: log-likelihood of the used measurements.
     """
 
     off: Float[Array, " channel"]
@@ -87,11 +89,12 @@ class Innovation(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """How measurements change a state.
+    """Correction of a state by measurements.
 
     Attributes:
-        gain: of the state by what is off, shape (state, channel).
-        factor: lower triangular root of what is expected of that, shape (channel, channel).
+        gain: gain from the innovation to the state, shape (state, channel).
+        factor: lower triangular square root of the covariance of the innovation, shape
+            (channel, channel).
     """
 
     gain: Float[Array, "state channel"]
@@ -108,16 +111,21 @@ def measured(
     used: Bool[Array, " channel"],
     estimated: Bool[Array, " state"],
 ) -> tuple[Gaussian, Innovation, Correction]:
-    """The distribution after measurements whose noise is independent.
+    """Return the distribution after measurements with independent noise.
 
     Arguments:
-        before: the distribution.
-        off: measured minus expected values.
-        slope: derivatives of the expected values by the state.
-        noise: standard deviations.
-        there: what was measured; what was not may be anything, NaN as well.
-        used: what of that counts for the state; the innovation is of all that is there.
-        estimated: states that a measurement changes; the others are considered.
+        before: distribution before the measurements.
+        off: measured minus predicted values.
+        slope: derivatives of the predicted values with respect to the state.
+        noise: standard deviations of the noise.
+        there: whether each channel was measured; values of other channels are ignored, and can be
+            NaN.
+        used: whether each measurement is used for the state; the innovation includes all
+            measurements.
+        estimated: whether each state is estimated; the other states are consider parameters.
+
+    Returns:
+        The distribution, the innovation and the correction.
     """
     used = used & there
     known = jnp.where(there, off, 0)
@@ -129,7 +137,7 @@ def measured(
     across = jax.scipy.linalg.solve_triangular(factor, seen, lower=True)
     gain = jax.scipy.linalg.solve_triangular(factor.T, across, lower=False).T
     gain = jnp.where(estimated[:, None], before.root @ gain, 0)
-    # Joseph's form, which is right for every gain.
+    # The Joseph form is valid for every gain.
     root = root_of_sum(before.root - gain @ seen, gain * noise[None])
     whitened = jax.scipy.linalg.solve_triangular(factor, known, lower=True)
     size = jnp.sum(jnp.log(jnp.abs(jnp.diag(factor))))
@@ -140,13 +148,14 @@ def measured(
 
 
 def _expected(root: Array, slope: Array, noise: Array, these: Array) -> tuple[Array, Array, Array]:
-    """Root of what the state adds to these channels, their noise, and a root of their sum."""
+    """Return the root of the state's contribution to channels, their noise, and the total root."""
     seen = jnp.where(these[:, None], slope, 0) @ root
     noise = jnp.where(these, noise, 1)
     return seen, noise, root_of_sum(seen, jnp.diag(noise))
 
 
-# Of a state that is certain, so that its covariance has an inverse: over its deviation, and least.
+# Smallest standard deviations, relative and absolute, that keep the covariance of a state without
+# uncertainty invertible.
 _FLOOR, _LEAST = 1e-10, 1e-14
 
 
@@ -157,12 +166,12 @@ def smoothed(
     noise: Float[Array, "state noise"],
     after: Gaussian,
 ) -> Gaussian:
-    """What is known of a state once everything after it is known, too.
+    """Return the smoothed distribution of a state.
 
     Arguments:
-        before: by all that was measured until then.
-        mean, slope, noise: of the motion from then on, as of `moved`.
-        after: the state after that motion, by everything.
+        before: filtered distribution of the state.
+        mean, slope, noise: motion that follows, as in `moved`.
+        after: smoothed distribution after this motion.
     """
     through = slope @ before.root
     size = jnp.sqrt(jnp.sum(through**2, axis=1) + jnp.sum(noise**2, axis=1))

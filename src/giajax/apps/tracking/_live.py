@@ -1,4 +1,4 @@
-"""A run that is still being recorded, tracked while its lines come."""
+"""Live tracking of a run that is still being recorded."""
 
 import dataclasses
 import itertools
@@ -28,20 +28,20 @@ from ._track import (
 )
 from ._tracker import Tracker
 
-_POLL = 0.2  # s
+_POLL = 0.2  # interval between attempts to read a growing file, s
 
 
 @dataclasses.dataclass(frozen=True)
 class Heard:
-    """What is known at one time of a run that is being recorded.
+    """Estimate at one time of a live run.
 
     Attributes:
-        time: the stamp of the last row, s.
-        now: what is expected of that time.
-        shown: estimated parameters of which the run has shown something.
-        nis: mean square of the innovations of the last 10 s that counted, as numbers of deviation
-            1; None where there are none.
-        changes: of parameters, that were found since the one before.
+        time: time stamp of the last row, s.
+        now: state predicted for the time at which this row arrives.
+        shown: estimated parameters on which the run contains information so far.
+        nis: mean square of the whitened innovations of the last 10 s that were used; None if there
+            are none.
+        changes: changes of parameters detected since the previous estimate.
     """
 
     time: float
@@ -52,9 +52,9 @@ class Heard:
 
 
 def lines_of(path: Path, patience: float) -> Iterator[bytes]:
-    """Lines of a file that grows, until it has not grown for so long (s).
+    """Yield the lines of a growing file until it has not grown for `patience` seconds.
 
-    The last one has no newline where the file ends within it.
+    The last line has no newline if the file ends within it.
     """
     with path.open("rb") as file:
         part, last = b"", clock.monotonic()
@@ -72,25 +72,25 @@ def lines_of(path: Path, patience: float) -> Iterator[bytes]:
                 clock.sleep(_POLL)
 
 
-_BEFORE = 2  # rows, beside which the next one is checked
+_BEFORE = 2  # number of previous rows with which the next one is checked
 
 
 class LiveRows:
-    """Rows of a CSV file whose lines come one after the other; the first names the columns.
+    """Rows of a CSV file whose lines arrive one after another; the first line is the header.
 
-    A line that is not a row that may follow those before it is left out with a warning.
+    A line that is not a valid row after the previous ones is ignored with a warning.
 
     Arguments:
-        lines: of the file, in their order.
-        reader: of lines of this file.
-        read: makes a run of what the reader has read, such as of some of its channels.
-        warn: called with a sentence for each line that is left out.
+        lines: lines of the file, in order.
+        reader: reader for lines of this file.
+        read: function that converts the run from the reader, for example to some of its channels.
+        warn: function that is called with a message for each ignored line.
 
     Raises:
-        InputError: names that are not those of a run over time.
+        InputError: the column names are not those of a run with times.
 
     Attributes:
-        kept: the header and all rows until now, as a file.
+        kept: header and all valid rows so far, as the content of a file.
     """
 
     def __init__(
@@ -108,15 +108,15 @@ class LiveRows:
         self.kept += self._header
 
     def run(self, *, partial: bool = False) -> Run:
-        """The run of all rows until now, which may still go on.
+        """Return the run of all rows so far; a `partial` run may still grow.
 
         Raises:
-            InputError: no run, as of a single row.
+            InputError: the rows are not a run, for example because there is only one.
         """
         return self._of(self._reader.read(bytes(self.kept), partial=partial))
 
     def __iter__(self) -> Iterator[tuple[float, dict[str, float]]]:
-        """Time (s) and values (SI, NaN of what is missing) of each row."""
+        """Yield the time, s, and the values of each row, SI units; missing values are NaN."""
         before: list[bytes] = []
         for number, line in self._lines:
             if not line.strip():
@@ -125,7 +125,8 @@ class LiveRows:
             try:
                 if not line.endswith(b"\n"):
                     raise InputError("the row is incomplete")
-                # With those before it: times increase, and in one unit.
+                # Read the row together with previous ones, to check that the times increase and
+                # have the same unit.
                 data = b"".join([self._header, *some])
                 run = self._of(self._reader.read(data, number - len(before), partial=True))
                 if run.times is None or len(run.times) != len(some):
@@ -151,23 +152,26 @@ def followed_live(
     gate: float = GATE,
     every: float = 1.0,
 ) -> Iterator[Heard]:
-    """Track a run while its rows come.
+    """Track a run while its rows arrive, and yield estimates.
 
     Arguments:
-        rows: with commands and measurements.
-        known_of: gives the arm, or a fit of it, and what is unknown beside the motion, of the
-            first two rows.
-        latency: after its stamp a row is there, s: what is expected is of that time.
-        gate: deviations; a measurement that is farther off does not count.
-        every: of the recorded time, s, something is said.
+        rows: rows with commands and measurements.
+        known_of: function that returns the model of the arm, or a fit of it, and the unknown
+            quantities, from the run of the first two rows.
+        latency: delay of the arrival of a row after its time stamp, s; estimates are predicted for
+            the time of arrival.
+        gate: innovation, in standard deviations, above which a measurement is not used.
+        every: recorded time between two estimates, s.
 
     Raises:
-        InputError: less than two rows, or a run that cannot be tracked while it is recorded.
+        InputError: there are fewer than two rows, or the run cannot be tracked live.
     """
     coming = iter(rows)
     begun = list(itertools.islice(coming, 2))
     if len(begun) < 2:
-        raise InputError("the input ended before its second row: give a header line and rows")
+        raise InputError(
+            "the input ended before its second row: give a header and at least two rows"
+        )
     first = rows.run(partial=True)
     tracker, what = _tracker_of(first, known_of, gate)
     recent: deque[tuple[float, float, int]] = deque()
@@ -210,7 +214,7 @@ def _tracker_of(
     known_of: Callable[[Run], tuple[AbstractModel | FitResult, Unknown]],
     gate: float,
 ) -> tuple[Tracker, Unknown]:
-    """The tracker of a run that begins with these rows, and what is unknown to it."""
+    """Return the tracker for a run that begins with these rows, and its unknown quantities."""
     if first.winds:
         raise InputError(
             f"'{first.name}' has wind columns, but the wind is not known in advance: omit them, "

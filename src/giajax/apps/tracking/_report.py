@@ -1,4 +1,4 @@
-"""A track as pictures, tables, plain data, a page and a run."""
+"""Figures, tables, plain data, page and run of a track."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,13 +15,13 @@ from ._track import SHOWN, Change, States, Track
 from ._verdict import BAND, TrackVerdict
 
 Hidden = Sequence[tuple[str, float, float]]
-"""States about which the channels hold little information, as `unseen` returns them."""
+"""States about which the channels contain little information, as `unseen` returns them."""
 
 _NAMED = 6
 
 
 class TrackFiles(NamedTuple):
-    """Names of the files of a track."""
+    """File names of a track."""
 
     facts: str = "track.json"
     picture: str = "track.png"
@@ -34,7 +34,7 @@ TRACK_FILES = TrackFiles()
 
 
 def track_figure(found: Track, title: str = "") -> Figure:
-    """Tip, wind and innovations over time, with bands of 95 %."""
+    """Plot the tip, the wind and the innovations versus time, with 95 % bands."""
     blows = found.filtered.wind is not None
     rows = 4 + blows
     figure = new_figure(9, 1.7 * rows + 0.6, title or f"Track of {found.run.name}")
@@ -82,9 +82,9 @@ def _band(axes: Any, times: Any, mean: Any, spread: Any, line: Any, label: str) 
 
 
 def estimate_columns(found: Track) -> dict[str, np.ndarray]:
-    """The smoothed states as columns of a run: commands, wind, angles, rates and tip, SI.
+    """Return the smoothed states as columns of a run: commands, wind, angles, rates and tip, SI.
 
-    A wind that was tracked is the mean over the links.
+    A tracked wind is the mean over the links.
     """
     states, joints = found.smoothed, range(found.arm.joints)
     stamps, run = np.asarray(found.run.times), found.run
@@ -104,7 +104,7 @@ def estimate_columns(found: Track) -> dict[str, np.ndarray]:
 
 
 def estimate_definition(found: Track) -> dict[str, Any]:
-    """What the sidecar of the smoothed states says: the arm, and that it starts as they do."""
+    """Return the sidecar of the smoothed states: the arm, with the first row as initial state."""
     arm = found.arm.model.definition()["arm"]
     origin = f"giajax track of {found.run.name}"
     held = found.run.definition.section(CommandSection).interpolation
@@ -118,7 +118,10 @@ def estimate_definition(found: Track) -> dict[str, Any]:
 
 
 def band_columns(found: Track) -> dict[str, np.ndarray]:
-    """Estimates and deviations by the filter, the smoother and in time; names end in their unit."""
+    """Return filtered, smoothed and predicted estimates with standard deviations as columns.
+
+    The names of the columns end in their unit.
+    """
     columns: dict[str, np.ndarray] = {"time_s": found.times}
     kinds = {"filtered": found.filtered, "smoothed": found.smoothed}
     if found.now is not None:
@@ -137,7 +140,7 @@ def band_columns(found: Track) -> dict[str, np.ndarray]:
 
 
 def end_columns(link: int, axis: str) -> tuple[str, str]:
-    """Names of the columns of where a link (from 0) ends, and of its deviation, m."""
+    """Return the column names of the end of a link (from 0) and of its standard deviation, m."""
     name = f"smoothed_link{link + 1:02d}_end_{axis}"
     return f"{name}_m", f"{name}_deviation_m"
 
@@ -164,7 +167,7 @@ def _quantities(states: States) -> dict[str, tuple[Any, Any, str, float]]:
 
 
 def heard_facts(heard: Heard) -> dict[str, Any]:
-    """What is known at one time of a run that is being recorded, as plain data."""
+    """Return the estimate at one time of a live run as plain data."""
     now = heard.now
     facts = {
         "time_s": heard.time,
@@ -187,7 +190,7 @@ def heard_facts(heard: Heard) -> dict[str, Any]:
 
 
 def heard_line(heard: Heard) -> str:
-    """The same as a line, below one for each change."""
+    """Return the estimate at one time of a live run as a line, preceded by a line per change."""
     now = heard.now
     tip = " ".join(f"{each:.3f}" for each in now.tip[0])
     parts = [
@@ -205,7 +208,7 @@ def heard_line(heard: Heard) -> str:
 
 
 def change_sentence(change: Change) -> str:
-    """It in one sentence."""
+    """Return the description of a detected change in one sentence."""
     way = "fallen" if change.size < 0 else "risen"
     return (
         f"changed: {change.path} has {way} by {abs(change.size):.2g} +- {change.deviation:.1g} at "
@@ -217,7 +220,7 @@ TRACK_HEADINGS = ("state", "unit", "at the end", "deviation", "smoothed, mean de
 
 
 def track_rows(found: Track) -> list[tuple[Any, ...]]:
-    """A row for the tip, the wind, parameters and biases, and the joint that is known least."""
+    """Return rows for tip, wind, parameters, biases, and the joint with the largest uncertainty."""
     rows: list[tuple[Any, ...]] = []
     smooth = _quantities(found.smoothed)
     latest = found.filtered
@@ -233,7 +236,7 @@ def track_rows(found: Track) -> list[tuple[Any, ...]]:
 
 
 def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dict[str, Any]:
-    """What was found as plain data."""
+    """Return the results of a track as plain data."""
     return {
         "run": found.run.name,
         "sha256": found.run.sha256,
@@ -274,15 +277,15 @@ def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dic
 
 
 def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> list[str]:
-    """Sentences on what a reader should know."""
+    """Return notes on a track, each a sentence."""
     notes = [
         f"{cause.name}: log-likelihood +{cause.gain:.3g}; {cause.advice}"
         for cause in verdict.causes[1:]
     ]
     if found.loosened > 1:
         notes.append(
-            "with the default unmodelled torque the state became infinite; the run was tracked "
-            f"with {found.loosened} times this torque: the model may lack an effect, such as a wind"
+            "the state became infinite with the default unmodelled torque, so the run was tracked "
+            f"with {found.loosened} times this torque: the model may lack an effect, such as wind"
         )
     notes += [change_sentence(change) for change in found.changes]
     if found.changes and not verdict.adequate:
@@ -298,7 +301,7 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     if hidden:
         names = [name for name, _, _ in hidden]
         notes.append(
-            f"these channels hold little information on {', '.join(names[:_NAMED])}"
+            f"these channels contain little information on {', '.join(names[:_NAMED])}"
             + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
             + ": their uncertainty is hardly reduced"
         )
@@ -307,8 +310,8 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     if found.now is not None:
         known = float(np.sqrt(np.mean(np.sum(found.now.tip_deviations**2, axis=1))))
         notes.append(
-            f"when a measurement arrives, {found.now_times[0] - found.times[0]:.2g} s late, the "
-            f"position of the tip is known within {known:.2g} m"
+            f"measurements arrive {found.now_times[0] - found.times[0]:.2g} s late; at this time, "
+            f"the position of the tip is known to within {known:.2g} m"
         )
     return notes
 
@@ -316,7 +319,7 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
 def track_sections(
     found: Track, verdict: TrackVerdict, hidden: Hidden = ()
 ) -> tuple[list[tuple[str, Table, str]], list[str]]:
-    """Tables of a page, each with a heading and a note, and the sentences under its verdict."""
+    """Return the tables of a page, each with its heading and note, and the notes on the track."""
     rows = [[_text(cell) for cell in row] for row in track_rows(found)]
     states = Table([*TRACK_HEADINGS], rows, 2)
     sound = Table(
@@ -332,7 +335,7 @@ def track_sections(
         (
             "States",
             states,
-            "Deviations are the standard deviations of the last state of the filter.",
+            "The column deviation gives the standard deviations of the last state of the filter.",
         ),
         (
             "Innovations",

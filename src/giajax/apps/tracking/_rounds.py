@@ -1,12 +1,14 @@
-"""The filter and the smoother over events, of whatever moves and is measured.
+"""Extended Kalman filter and smoother over events, for any system.
 
-Both are linearised where the filter is, or about states that are given: the smoothed ones of a pass
-before, so that filter and smoother once more are a Gauss-Newton step of the whole run (Bell, The
-iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optimization 4 (1994) 626).
+Both are linearised about the estimate of the filter, or about given states. If these are the
+smoothed states of an earlier pass, another pass of filter and smoother is a Gauss-Newton step for
+the whole run (Bell, The iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optimization 4
+(1994) 626).
 
-That a parameter has changed is told by what a change at each of some past times would have done to
-what was measured since (Willsky and Jones, A generalized likelihood ratio approach to the detection
-and estimation of jumps in linear systems, IEEE Trans. Automatic Control 21 (1976) 108).
+A change of a parameter is detected from the effect that a change at each of several past times
+would have had on the measurements since then (Willsky and Jones, A generalized likelihood ratio
+approach to the detection and estimation of jumps in linear systems, IEEE Trans. Automatic Control
+21 (1976) 108).
 """
 
 import math
@@ -21,29 +23,30 @@ from ._filter import Correction, Gaussian, Innovation, measured, moved, root_of_
 
 
 class System(Protocol):
-    """What is tracked: a pytree with these methods.
+    """System that is tracked: a pytree with these methods.
 
     Attributes:
-        noise: standard deviations of its channels.
+        noise: standard deviations of the noise of its channels.
     """
 
     noise: Array
 
     def moved(self, vector: Array, held: Any) -> tuple[Array, Array, Array]:
-        """Where a state moves to in an interval, its derivatives, a root of what is added."""
+        """Return the state after an interval, its derivatives, and the root of the added noise."""
 
     def shown(self, vector: Array, held: Any) -> tuple[Array, Array]:
-        """Channels at the end of an interval, and their derivatives."""
+        """Return the channels at the end of an interval, and their derivatives."""
 
 
 class Learning(NamedTuple):
-    """What is said of events to a filter that estimates parameters.
+    """Additional data of events for a filter that estimates parameters.
 
     Attributes:
-        length: of the interval before each, s.
-        moves: whether what is tracked has moved lately, so that measurements show parameters.
-        loosened: by which states may have changed just before each interval, as a column of a root
-            of their covariance.
+        length: length of the interval before each event, s.
+        moves: whether the system has recently moved, so that measurements contain information on
+            parameters.
+        loosened: possible change of the states just before each interval, as a column of a root of
+            their covariance.
     """
 
     length: Float[Array, " event"]
@@ -52,13 +55,13 @@ class Learning(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Times at which something is measured or an interval ends, in their order.
+    """Measurements and ends of intervals, in order of time.
 
     Attributes:
-        held: what is known of the interval before each.
-        values: measured channels, SI, shape (event, channel).
-        there: which of them were measured.
-        learning: of a filter with a watch; None without one.
+        held: known inputs of the interval before each event.
+        values: measured values, SI units, shape (event, channel).
+        there: whether each channel was measured.
+        learning: additional data for a filter with a watch; None without one.
     """
 
     held: Any
@@ -67,24 +70,25 @@ class Events(NamedTuple):
     learning: Learning | None = None
 
 
-_SLOTS = 20  # times at which a change may have been
-_LARGEST = 3.0  # of a change, over its deviation
+_SLOTS = 20  # number of candidate times of a change
+_LARGEST = 3.0  # largest accepted change, relative to its prior standard deviation
 EVERY = 2.0
 """Interval between the times at which a change is tested, s."""
 
 
 class Watch(NamedTuple):
-    """What changes of some states, at each of some past times, would have done since.
+    """Detector of changes of some states at several past candidate times (slots).
 
     Attributes:
-        directions: of the states, for each kind of change, as large as it may be expected to be
-            (a standard deviation), shape (change, state).
-        effect: on the state minus its estimate, shape (change, slot, state).
-        score: of the log-likelihood by the size of each change, shape (change, slot).
-        information: likewise, shape (change, slot).
-        misfit: square of all innovations since then, as numbers of deviation 1, shape (slot,).
-        number: of them, shape (slot,).
-        ages: since then, s, shape (slot,).
+        directions: direction of each kind of change in the state, scaled by its prior standard
+            deviation, shape (change, state).
+        effect: effect of each change on the error of the estimate, shape (change, slot, state).
+        score: derivative of the log-likelihood with respect to the size of each change, shape
+            (change, slot).
+        information: Fisher information on the size of each change, shape (change, slot).
+        misfit: sum of the squared whitened innovations since each candidate time, shape (slot,).
+        number: number of these innovations, shape (slot,).
+        ages: time since each candidate time, s, shape (slot,).
     """
 
     directions: Float[Array, "change state"]
@@ -97,16 +101,16 @@ class Watch(NamedTuple):
 
 
 class Suspected(NamedTuple):
-    """The change that explains most of what was measured.
+    """Change that explains the measurements best.
 
     Attributes:
-        square: its size over the deviation of that, squared; of the right model chi-square of 1
-            at most. Where innovations are larger than expected also without it, it is as many times
-            less.
-        which: of the changes.
-        age: since then, s.
-        size: by which it changed.
-        deviation: of that.
+        square: squared ratio of its size to its standard deviation; for a correct model without a
+            change, at most chi-squared with 1 degree of freedom for each candidate. It is divided
+            by the mean square of the remaining innovations if these are larger than expected.
+        which: index of the kind of change.
+        age: time since the change, s.
+        size: size of the change.
+        deviation: standard deviation of the size.
     """
 
     square: Float[Array, " event"]
@@ -117,7 +121,7 @@ class Suspected(NamedTuple):
 
 
 def watching(directions: Array) -> Watch:
-    """A watch that begins."""
+    """Return a new watch for changes in some directions."""
     shape = (directions.shape[0], _SLOTS)
     return Watch(
         directions,
@@ -139,10 +143,19 @@ def _watched(
     correction: Correction,
     innovation: Innovation,
 ) -> tuple[Watch, Suspected]:
-    """A watch after one more event, whose motion and measurements have these slopes.
+    """Update a watch with one more event.
 
-    Where nothing moves, parameters are considered: innovations are off by their errors, all alike,
-    and say nothing of changes.
+    At rest, the parameters are consider parameters. The innovations then contain the constant
+    effect of their errors, and no information on changes.
+
+    Arguments:
+        watch: watch before the event.
+        learning: additional data of the event.
+        slope: derivatives of the motion.
+        shows: derivatives of the measurements.
+        used: whether each measurement was used.
+        correction: correction of the state by the measurements.
+        innovation: innovation of the measurements.
     """
     effect = watch.effect @ slope.T
     off = jnp.where(used, effect @ shows.T, 0)
@@ -156,10 +169,10 @@ def _watched(
     counts = used & learning.moves
     misfit = watch.misfit + jnp.sum(jnp.where(counts, innovation.whitened, 0) ** 2)
     number = watch.number + jnp.sum(counts, dtype=misfit.dtype)
-    # A change is as likely as it is said to be, and what would have to be larger is none.
+    # The estimate includes the prior of the change; changes far beyond this prior are rejected.
     size = score / (information + 1)
     square = jnp.where(jnp.abs(size) < _LARGEST, score * size, 0)
-    # What is wrong with the model otherwise looks like changes, too.
+    # Other errors of the model also resemble changes, so divide by the remaining misfit.
     left = (misfit[None] - square) / jnp.maximum(number - 1, 1)[None]
     square = square / jnp.maximum(left, 1)
     ages = watch.ages + learning.length
@@ -172,7 +185,7 @@ def _watched(
         unit * size[which, slot],
         unit / jnp.sqrt(information[which, slot] + 1),
     )
-    # The oldest time makes room for this one.
+    # The current time replaces the oldest candidate.
     fresh = (jnp.arange(_SLOTS) == jnp.argmax(ages)) & (jnp.min(ages) >= EVERY)
     watch = watch._replace(
         effect=jnp.where(fresh[None, :, None], watch.directions[:, None], effect),
@@ -186,7 +199,13 @@ def _watched(
 
 
 class Followed(NamedTuple):
-    """The state, how many measurements of each channel were left out in a row, and a watch."""
+    """State of a filter.
+
+    Attributes:
+        state: estimate.
+        left_out: number of consecutive outliers of each channel.
+        watch: detector of changes, if any.
+    """
 
     state: Gaussian
     left_out: Int[Array, " channel"]
@@ -194,7 +213,13 @@ class Followed(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Of each interval: where the mean moves to, its slope by the state before, added noise."""
+    """Motion in each interval.
+
+    Attributes:
+        mean: mean after the interval.
+        slope: derivatives of this mean with respect to the state before the interval.
+        noise: square root of the covariance that the interval adds.
+    """
 
     mean: Float[Array, "event state"]
     slope: Float[Array, "event state state"]
@@ -202,10 +227,15 @@ class Motion(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """Of each event: the state by all that was measured until then, and what that was beside.
+    """Results of the filter for each event.
 
-    `motion` is that of the interval before it, `used` is which measurements counted; `left_out` is
-    that of `Followed`, and `suspected` is of its watch.
+    Attributes:
+        state: estimate from all measurements up to the event.
+        motion: motion in the interval before the event.
+        innovation: innovation of the measurements.
+        used: whether each measurement was used.
+        left_out: number of consecutive outliers of each channel.
+        suspected: best explanation by a change, if changes are watched.
     """
 
     state: Gaussian
@@ -219,7 +249,7 @@ class Filtered(NamedTuple):
 GATE = 5.0
 """Standard deviations beyond which a measurement is rejected as an outlier."""
 
-_IN_A_ROW = 5  # of outliers; what goes on after that is no outlier, and the state is wrong
+_IN_A_ROW = 5  # consecutive outliers after which a measurement is used, as the state may be wrong
 
 
 @program
@@ -233,11 +263,21 @@ def filtered(
     about: tuple[Array, Array] | None = None,
     count: Array | None = None,
 ) -> tuple[Followed, Filtered]:
-    """The filter over all events: what is known after the last, and after each.
+    """Run the filter over events.
 
-    `blind`: as if each measured value were the expected one. `about`: the states before and after
-    each interval about which it is linearised, shapes (event, state); where they are NaN, and by
-    default, those of the filter. Only the first `count` events are, all by default.
+    Arguments:
+        system: system that is tracked.
+        start: initial state of the filter.
+        events: events in order of time.
+        estimated: whether each state is estimated.
+        gate: innovation, in standard deviations, above which a measurement is not used.
+        blind: replace each measured value by its prediction.
+        about: states before and after each interval about which the system is linearised, shapes
+            (event, state); by default, and where they are NaN, those of the filter.
+        count: number of first events that are processed; defaults to all.
+
+    Returns:
+        The state of the filter after the last event, and the results for each event.
     """
     size = events.values.shape[0]
     real = jnp.arange(size) < (size if count is None else count)
@@ -254,7 +294,7 @@ def filtered(
 def followed_by(
     system: System, before: Followed, event: Events, estimated: Array, gate: Array
 ) -> tuple[Followed, Filtered]:
-    """The filter over one event."""
+    """Run the filter over one event."""
     return _one(system, before, event, estimated, gate, jnp.asarray(False), None)
 
 
@@ -273,7 +313,7 @@ def _one(
     learning = event.learning
     if watch is not None and learning is not None:
         noise = jnp.concatenate([noise, (slope @ learning.loosened)[:, None]], axis=1)
-        # What is allowed for from here on is not asked about before.
+        # Restart the watch at a change that is already allowed for.
         anew = jnp.any(learning.loosened != 0)
         begun = watching(watch.directions)
         watch = jax.tree.map(lambda new, old: jnp.where(anew, new, old), begun, watch)
@@ -294,7 +334,8 @@ def _one(
     if watch is not None and learning is not None:
         both = (motion.slope, slope)
         watch, suspected = _watched(watch, learning, *both, used, correction, innovation)
-    # An outlier is as likely as one at the gate, so that nothing is gained by leaving more out.
+    # An outlier has the likelihood of a measurement at the gate, so that rejecting measurements
+    # does not increase the likelihood.
     outside = -0.5 * gate**2 - jnp.log(expected) - 0.5 * math.log(2 * math.pi)
     likelihood = jnp.sum(jnp.where(event.there & ~used, outside, 0))
     innovation = innovation._replace(log_likelihood=innovation.log_likelihood + likelihood)
@@ -305,10 +346,13 @@ def _one(
 
 @program
 def smoothed_states(after: Gaussian, states: Gaussian, motions: Motion, there: Array) -> Gaussian:
-    """The smoother over filtered states, each with the motion that follows it.
+    """Run the smoother over filtered states.
 
-    `after` is the state after the last of them, by everything; of those that are not `there` it is
-    passed on.
+    Arguments:
+        after: smoothed state after the last of them.
+        states: filtered states.
+        motions: motion that follows each state.
+        there: whether each state is real; the smoothed state is passed on unchanged over others.
     """
 
     def one(after: Gaussian, given: Any) -> tuple[Gaussian, Gaussian]:
@@ -322,9 +366,9 @@ def smoothed_states(after: Gaussian, states: Gaussian, motions: Motion, there: A
 
 @program
 def predicted(system: System, states: Gaussian, held: Any) -> Gaussian:
-    """Each state after some more intervals, in which nothing is measured.
+    """Predict each state over several intervals without measurements.
 
-    `held` has the axes of the states and of the intervals.
+    The first axes of `held` are the states and the intervals.
     """
 
     def one(given: Any) -> Gaussian:
@@ -341,9 +385,9 @@ def predicted(system: System, states: Gaussian, held: Any) -> Gaussian:
 
 @program
 def rested(start: Gaussian, motion: Motion, doublings: int) -> Gaussian:
-    """What is known of what has stood for 2^doublings intervals where it rests.
+    """Return the distribution of a system that has been at rest for 2^doublings intervals.
 
-    By the derivatives there: the covariance of a sum of so many intervals, in so many products.
+    The covariance of all intervals follows from the derivatives at rest by repeated doubling.
     """
 
     def twice(_: int, both: tuple[Array, Array]) -> tuple[Array, Array]:

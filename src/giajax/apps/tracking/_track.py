@@ -1,4 +1,4 @@
-"""A recorded run tracked: where the arm was, and what a controller would have known of it."""
+"""Tracking of a recorded run: filtered, smoothed and predicted states of the arm."""
 
 import bisect
 import dataclasses
@@ -42,42 +42,48 @@ from ._rounds import (
 )
 
 STIFFNESS_SHARE = 3e-5
-"""Default unmodelled torque, as a share of the mean stiffness (white noise), root(s)."""
+"""Default unmodelled torque (white noise), as a fraction of the mean stiffness, sqrt(s)."""
 
-_LONGEST = 0.1  # between two events, s
-SHORT = 1e-9  # the interval before the first event, s, by which slopes are divided
-_AHEAD = 0.25  # of an interval in which nothing is measured, s
-_DOUBLINGS = 13  # of an interval of the filter, which an arm has stood at the start: 14 minutes
-# Events of one call, so that runs of every length have the same programs; after some of them the
-# start is chosen that explains them best.
+_LONGEST = 0.1  # longest interval between two events, s
+SHORT = 1e-9  # interval before the first event, s; not 0, because slopes are divided by it
+_AHEAD = 0.25  # longest interval of a prediction without measurements, s
+_DOUBLINGS = 13  # doublings of a filter interval for which the arm rested before: 14 minutes
+# Number of events per call, so that runs of all lengths use the same compiled programs, and number
+# of first events by which the initial state is chosen.
 _CHUNK, _DECIDES = 100, 200
-_MOST = 5e7  # numbers of one of some eight kinds that are kept: 3 GB
+_MOST = 5e7  # largest number of elements of an array; about eight such arrays need 3 GB
 CHANGED = 6.0
 """Number of standard deviations from which a change of a parameter is reported."""
 SHOWN = 0.9
-"""Share of its initial deviation above which a state counts as hardly observed."""
-_ROUNDS, _STAYS = 3, 0.02  # of linearising once more, until a parameter moves by less deviations
-_WORSE = 1.0  # of the log-likelihood, by which a round may be, as it is linearised elsewhere
-# Of the state at the start: of an arm that has come to rest, and of one that starts as stated.
+"""Fraction of its initial deviation above which a state counts as hardly observed."""
+# Largest number of relinearisations, and the change of a parameter, in standard deviations, below
+# which they end.
+_ROUNDS, _STAYS = 3, 0.02
+# Decrease of the log-likelihood that a relinearisation may cause, because it is linearised about
+# another state.
+_WORSE = 1.0
+# Standard deviations of the initial angles, rad, and rates, rad/s: of an arm at rest, and of an arm
+# in a given initial state.
 _AT_REST = np.deg2rad([1.0, 0.3])
 _STATED = np.deg2rad([2.0, 1.0])
 
 
 @dataclasses.dataclass(frozen=True)
 class Unknown:
-    """What is unknown beside the motion of the arm.
+    """Unknown quantities in addition to the motion of the arm.
 
     Attributes:
-        air: the wind; None where that of the run is known, or the air is still.
-        biases: of sensors.
-        considered: standard deviations (SI) of parameters by path, whose uncertainty counts and
-            which are not estimated.
-        correlation: between them; None: none.
-        estimated: of those that are estimated, too.
-        torque: unmodelled torque of each joint, as white noise, N m root(s); None: a default.
-        ties: expressions by the path of the parameter that follows from others, as of a fit.
-        at_start: standard deviations of all angles and rates then, rad and rad/s; None: 2 degrees
-            and 1 degree/s about what the run states, 1 and 0.3 where the arm has come to rest.
+        air: unknown wind; None if the wind of the run is known or the air is still.
+        biases: unknown biases of sensors.
+        considered: path -> standard deviation, SI units, of the consider parameters (Schmidt-Kalman
+            filter), whose uncertainty is included and which are not estimated.
+        correlation: correlation of the consider parameters; None if they are uncorrelated.
+        estimated: path -> standard deviation, SI units, of the estimated parameters.
+        torque: unmodelled torque of each joint, as white noise, N m sqrt(s); None for the default.
+        ties: path of a parameter that depends on others -> expression, as in a fit.
+        at_start: standard deviations of all initial angles and rates, rad and rad/s. By default
+            they are 2 deg and 1 deg/s for the initial state of the run, and 1 deg and 0.3 deg/s for
+            an arm at rest.
     """
 
     air: Air | None = None
@@ -92,25 +98,27 @@ class Unknown:
 
 @dataclasses.dataclass(frozen=True)
 class States:
-    """A state over time, with its deviations.
+    """State versus time, with standard deviations.
+
+    The standard deviations have the units and shapes of their values.
 
     Attributes:
-        angles: of the joints, rad, shape (time, joint).
-        rates: of the joints, rad/s, likewise.
-        tip: m, shape (time, 3).
-        ends: of the links, m, shape (time, link, 3); the last one is the tip.
-        wind: mean over the links of the wind that is unknown, m/s, shape (time, 3), or None.
-        parameters: uncertain ones by path, SI, considered or estimated.
-        biases: SI, shape (time, bias).
-        angle_deviations: standard deviations, as the values; so are the next ones.
-        rate_deviations: of the rates.
-        tip_deviations: of the tip.
-        end_deviations: of the ends of the links.
-        wind_deviations: of the wind.
-        parameter_deviations: of the parameters.
-        bias_deviations: of the biases.
-        mean: the whole state.
-        root: of its covariance.
+        angles: angles of the joints, rad, shape (time, joint).
+        rates: rates of the joints, rad/s, shape (time, joint).
+        tip: position of the tip, m, shape (time, 3).
+        ends: positions of the ends of the links, m, shape (time, link, 3); the last one is the tip.
+        wind: mean of the unknown wind over the links, m/s, shape (time, 3), or None.
+        parameters: path -> values of each consider parameter or estimated parameter, SI units.
+        biases: biases, SI units, shape (time, bias).
+        angle_deviations: standard deviations of the angles.
+        rate_deviations: standard deviations of the rates.
+        tip_deviations: standard deviations of the tip.
+        end_deviations: standard deviations of the ends of the links.
+        wind_deviations: standard deviations of the wind.
+        parameter_deviations: standard deviations of the parameters.
+        bias_deviations: standard deviations of the biases.
+        mean: mean of the whole state vector.
+        root: square root of its covariance.
     """
 
     angles: Float[np.ndarray, "time joint"]
@@ -133,14 +141,14 @@ class States:
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """A parameter that has changed while the arm moved.
+    """Detected change of a parameter.
 
     Attributes:
-        path: of the parameter.
-        time: about when it changed, s.
-        found: at the exposure of which measurement that was seen, s.
-        size: by which it changed, SI, as seen then.
-        deviation: of that.
+        path: path of the parameter.
+        time: estimated time of the change, s.
+        found: exposure time of the measurement by which it was detected, s.
+        size: size of the change, SI units, estimated at the detection.
+        deviation: standard deviation of the size.
     """
 
     path: str
@@ -152,33 +160,34 @@ class Change:
 
 @dataclasses.dataclass(frozen=True)
 class Track:
-    """A run tracked; made by `track`.
+    """Tracked run, as returned by `track`.
 
     Attributes:
-        arm: what was tracked.
-        unknown: of it.
-        times: s, shape (event,): of all exposures, and of times between two that are far apart.
-        filtered: by what was measured until each time.
-        smoothed: by the whole run.
-        now: what the filter expects of the time at which a measurement comes, by what was exposed
-            until it was; None without a delay.
-        now_times: of these, s.
-        latency: after the stamp, s.
-        there: which channels were measured, shape (event, channel).
-        used: which counted.
-        off: measured minus expected, SI.
-        expected: deviation of that, SI.
-        whitened: what counted of that, as independent numbers of deviation 1.
-        nis: of each event, the square of all that was measured over what is expected.
-        log_likelihood: of the measurements of each event.
-        noise: standard deviation of each channel, SI, by name.
-        gate: as given.
-        start: what was known at the start.
-        seconds: that the filter takes for an event, without compiling.
-        changes: of estimated parameters; from when one was found the filter allows for it, from
-            when it happened the smoother does.
-        loosened: how many times the usual unmodelled torque it took to follow the run, where no
-            torque was stated.
+        run: run that was tracked.
+        arm: state-space model of the arm.
+        unknown: unknown quantities.
+        times: times of all exposures, and intermediate times in long intervals, s, shape (event,).
+        filtered: estimates from the measurements up to each time.
+        smoothed: estimates from the whole run.
+        now: predictions for the time at which each measurement arrives, from the measurements
+            exposed up to that measurement; None without a delay.
+        now_times: times of these predictions, s.
+        latency: delay of the arrival of a measurement after its time stamp, s.
+        there: whether each channel was measured, shape (event, channel).
+        used: whether each measurement was used.
+        off: innovations (measured minus predicted values), SI units.
+        expected: standard deviations of the innovations, SI units.
+        whitened: whitened innovations of the used measurements, with standard deviation 1.
+        nis: normalised innovation squared of all measurements of each event.
+        log_likelihood: log-likelihood of the measurements of each event.
+        noise: name of each channel -> standard deviation of its noise, SI units.
+        gate: largest innovation that is used, in standard deviations.
+        start: initial estimate.
+        seconds: computing time of the filter per event, without compilation, s.
+        changes: detected changes of estimated parameters. The filter allows for a change from its
+            detection on, and the smoother from the change itself.
+        loosened: factor of the default unmodelled torque with which the run could be tracked, if no
+            torque was given.
     """
 
     run: Run
@@ -206,7 +215,7 @@ class Track:
 
 
 def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
-    """Standard errors of the arm's parameters that a fit found, by path, and their correlation."""
+    """Return the standard errors of the fitted parameters of the arm, and their correlation."""
     of_arm = declared(arm_model_of(result).arm)
     paths = [
         path
@@ -219,7 +228,7 @@ def considered_of(result: FitResult) -> tuple[dict[str, float], np.ndarray]:
 
 
 def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknown:
-    """With the errors of a fit considered, where nothing else is."""
+    """Return the unknowns, with consider parameters from a fit if none are given."""
     if not isinstance(model, FitResult):
         return unknown
     unknown = dataclasses.replace(unknown, ties=unknown.ties or model.config.get("ties", {}))
@@ -237,29 +246,31 @@ def with_errors_of(model: AbstractModel | FitResult, unknown: Unknown) -> Unknow
 def model_and_unknown(
     model: AbstractModel | FitResult, run: Run, unknown: Unknown | None
 ) -> tuple[ArmModel, Unknown]:
-    """The arm of a run and what is unknown of it: of a fit, as it is for that run, and its errors.
+    """Return the model of the arm for a run, and its unknowns, from a model or a fit.
+
+    A fit also gives the consider parameters, with their standard errors.
 
     Raises:
-        InputError: it is not an arm.
+        InputError: the model is not that of an arm.
     """
     unknown = with_errors_of(model, Unknown() if unknown is None else unknown)
     return arm_model_of(model.model_of(run) if isinstance(model, FitResult) else model), unknown
 
 
 def has_own_wind(model: ArmModel) -> bool:
-    """Whether the arm states a wind, beside that of a run."""
+    """Return whether the arm itself has a wind, apart from that of a run."""
     return model.arm.air.wind is not None or model.arm.air.wind_field is not None
 
 
 def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:
-    """How late each channel shows the arm, s."""
+    """Return the delay of each channel, s."""
     sensors, found = model.sensors, {}
     for name in channels:
         channel = Channel.named(name)
         if channel.quantity == "pixel":
             delay: Any = clock_of(sensors, camera_of(sensors, channel))
         else:
-            # As a prediction has it: what shows a row has the clock.
+            # As in a prediction, the sensor of the channel determines the clock.
             rows = sensors.rows({channel.kind})
             delay = getattr(rows[channel.kind][1], "delay", None) if rows else None
         found[name] = 0.0 if delay is None else float(delay)
@@ -267,10 +278,10 @@ def delays_of(model: ArmModel, channels: Sequence[str]) -> dict[str, float]:
 
 
 def noise_of(run: Run, channels: Sequence[str], result: FitResult | None) -> dict[str, float]:
-    """Standard deviation of each channel, SI: as the run states it, or as the fit found it.
+    """Return the standard deviation of the noise of each channel, SI, from the run or from the fit.
 
     Raises:
-        InputError: neither says one.
+        InputError: neither the run nor the fit gives the noise of a channel.
     """
     known: dict[str, float] = {}
     for fitted in () if result is None else result.runs:
@@ -287,7 +298,7 @@ def noise_of(run: Run, channels: Sequence[str], result: FitResult | None) -> dic
             stated = known.get(name, quantities.get(run.channels[name].quantity))
         if stated is None or not stated > 0:
             raise InputError(
-                f"the noise of {name} of '{run.name}' is unknown: state it in [noise], or give a "
+                f"the noise of {name} of '{run.name}' is unknown: give it in [noise], or give a "
                 "fit with --model"
             )
         found[name] = float(stated)
@@ -296,14 +307,15 @@ def noise_of(run: Run, channels: Sequence[str], result: FitResult | None) -> dic
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """The events of a run, and what is known of any interval of it.
+    """Events of a run, and the known inputs in any interval.
 
     Attributes:
-        times: of the events, s.
-        events: for the filter.
-        command: over time.
-        wind: over time; None in still air.
-        width: of the wind where it is unknown, 3, or 0.
+        times: times of the events, s.
+        events: events for the filter.
+        command: commanded angles versus time.
+        wind: known wind versus time; None if it is unknown or the air is still.
+        width: number of columns of the wind in `held` if `wind` is None: 3 if the wind is unknown,
+            0 in still air.
     """
 
     times: np.ndarray
@@ -313,7 +325,7 @@ class Plan:
     width: int
 
     def held(self, begin: np.ndarray, end: np.ndarray) -> Held:
-        """What is known of intervals; a jump at their end is not one of them."""
+        """Return the known inputs of intervals; a jump at the end of an interval is excluded."""
         length = end - begin
         last = end - 1e-9 * np.maximum(length, 1e-3)
         edges = np.stack([begin, last], axis=-1)
@@ -329,16 +341,16 @@ def _values(signal: Signal, times: np.ndarray, width: int) -> np.ndarray:
         np.asarray(each) for each in (signal.times, signal.values, signal.slopes)
     )
     at = np.maximum(np.searchsorted(knots, times.ravel(), side="right") - 1, 0)
-    # Before its first knot a signal has the value there.
+    # Before its first knot, a signal has the value at that knot.
     since = np.maximum(times.ravel() - knots[at], 0.0)
     return (values[at] + since[:, None] * slopes[at]).reshape(*times.shape, width)
 
 
 def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: bool) -> Plan:
-    """The exposures of a run in their order, with steps between those that are far apart.
+    """Return the exposures of a run in order of time, with intermediate steps in long intervals.
 
     Raises:
-        InputError: a run that is driven otherwise than by commanded angles.
+        InputError: the run is not driven by commanded angles.
     """
     for name in run.commands:
         if run.channels[name].kind != "joint_command":
@@ -356,12 +368,12 @@ def planned(model: ArmModel, run: Run, channels: Sequence[str], *, unknown_air: 
         for stamp, values in zip(run.times - late, table[:, columns], strict=True):
             row = rows.setdefault(round(float(stamp), 9), np.full(len(channels), np.nan))
             row[columns] = values
-    # The run says how the arm is at its first row; what was exposed before is of no use.
+    # The initial state is that at the first row, so earlier exposures cannot be used.
     first = round(float(run.times[0]), 9)
     exposures = np.array([first, *(each for each in sorted(rows) if each > first)])
     if len(exposures) < 2:
         raise InputError(f"'{run.name}' has no measurement after its first row: give a longer run")
-    # A command that bends within an interval would be straight in it.
+    # Add the knots of the command and the wind, because both are linear in each interval.
     knots = [np.asarray(inputs.command.times)]
     knots += [] if inputs.wind is None else [np.asarray(inputs.wind.times)]
     bends = np.concatenate(knots).round(9)
@@ -396,7 +408,7 @@ def _balance(arm: Arm, angles: Array, command: Array, wind: Array | None) -> tup
 
 
 def rest_in(arm: Arm, command: np.ndarray, wind: np.ndarray | None) -> np.ndarray | None:
-    """Angles (rad) at which an arm rests under a command in a wind; None where none are found."""
+    """Return the equilibrium angles of an arm under a command in a wind, rad, or None."""
     blows = None if wind is None else jnp.asarray(wind, float)
 
     def off(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -416,10 +428,18 @@ def starts(
     motion: Callable[[Gaussian, Held], Motion],
     rest: Sequence[bool] = (False, True),
 ) -> list[Gaussian]:
-    """What may be known of the arm at the start, of which `held` is the first interval.
+    """Return the candidates for the initial estimate.
 
-    It starts as stated, or has come to rest long ago; and the mean flow is what it is guessed to
-    be, or the opposite of it, about which drag has another slope. `motion` is that of a state.
+    The arm starts in the given state, or has been at rest for a long time. An unknown mean flow has
+    the initial guess or the opposite value, at which the derivative of the drag is different.
+
+    Arguments:
+        tracked: state-space model of the arm.
+        held: known inputs of the first interval.
+        unknown: unknown quantities.
+        stated: initial angles and rates of the run.
+        motion: function that returns the linearised motion of a state in an interval.
+        rest: alternatives to try: False for the given state, True for an arm at rest.
     """
     where, air = tracked.slices(), unknown.air
     flows = [None] if air is None else [air.wind.mean, -air.wind.mean]
@@ -467,7 +487,7 @@ def starts(
                 often = held._replace(length=jnp.asarray(_LONGEST, float))
                 start = rested(start, motion(start, often), _DOUBLINGS)
                 size_of = float(jnp.max(start.deviations[: tracked.joints]))
-                if not size_of < np.pi:  # no rest that it stays at
+                if not size_of < np.pi:  # the equilibrium is not stable
                     continue
             found.append(start)
     return found
@@ -490,7 +510,7 @@ Outputs = tuple[Array, Array, Array, Array]
 
 
 def _output(tracked: TrackedArm, state: Gaussian) -> Outputs:
-    """Ends of the links and mean wind of a state, and their deviations."""
+    """Return the ends of the links and the mean wind of a state, and their standard deviations."""
 
     def both(vector: Array) -> tuple[Array, Array]:
         arm = tracked.with_parameters(vector).arm
@@ -523,8 +543,8 @@ def _output_alone(tracked: TrackedArm, state: Gaussian) -> Outputs:
 
 
 def as_states(tracked: TrackedArm, states: Gaussian) -> States:
-    """Distributions of the whole state as what they are of."""
-    if len(states.mean) == 1:  # of a tracker, which is asked after each row
+    """Return the distributions of state vectors as named quantities."""
+    if len(states.mean) == 1:  # from a tracker, once per row: avoid the padding to a chunk
         found: Any = [
             each[None] for each in _output_alone(tracked, Gaussian(*(x[0] for x in states)))
         ]
@@ -557,7 +577,7 @@ def as_states(tracked: TrackedArm, states: Gaussian) -> States:
 
 
 def usual_torque(model: ArmModel) -> float:
-    """The default of the unmodelled torque, N m root(s)."""
+    """Return the default unmodelled torque, N m sqrt(s)."""
     joints = model.arm.joints
     return STIFFNESS_SHARE * float(
         np.mean([*joints.pitch_stiffness.ravel(), *joints.yaw_stiffness.ravel()])
@@ -565,20 +585,20 @@ def usual_torque(model: ArmModel) -> float:
 
 
 def estimated_states(tracked: TrackedArm, unknown: Unknown) -> Array:
-    """Which states measurements change: all but the parameters that are considered."""
+    """Return which states are estimated: all except the consider parameters."""
     first = tracked.slices()["parameters"].start
     places = np.arange(tracked.size) - first
     return jnp.asarray((places < 0) | (places >= len(unknown.considered)))
 
 
 class Settings(NamedTuple):
-    """Of the filter over a run.
+    """Settings of the filter for a run.
 
     Attributes:
-        estimated: which states measurements change.
-        gate: deviations; a measurement that is farther off does not count.
-        blind: whether each measured value is taken to be the expected one.
-        watch: for changes of parameters; None where none is estimated.
+        estimated: whether each state is estimated.
+        gate: largest innovation that is used, in standard deviations.
+        blind: whether each measured value is replaced by its prediction.
+        watch: detector of changes of parameters; None if no parameter is estimated.
     """
 
     estimated: Array
@@ -595,12 +615,13 @@ def begun_at(
     gate: float,
     start: Gaussian | None = None,
 ) -> tuple[TrackedArm, Plan, Gaussian, Settings]:
-    """What is tracked, its events, the start that explains the first ones best, and settings.
+    """Return the state-space model, the events, the initial estimate and the settings for a run.
 
-    A `start` that is given is taken.
+    Of several candidates for the initial estimate, the one that explains the first events best is
+    chosen. If `start` is given, it is used.
 
     Raises:
-        InputError: a run that is too long for its states, or one that `planned` refuses.
+        InputError: the run is too long for its number of states, or `planned` does not support it.
     """
     names = list(noise)
     known = run.definition.section(WindSection).velocity_m_per_s is not None or bool(run.winds)
@@ -651,7 +672,10 @@ def begun_at(
 
 
 def watched_parameters(tracked: TrackedArm, unknown: Unknown) -> Array | None:
-    """The estimated parameters, each as uncertain as at the start; None where there are none."""
+    """Return the direction of each estimated parameter, scaled by its initial standard deviation.
+
+    The result is None if no parameter is estimated.
+    """
     first = tracked.slices()["parameters"].start + len(unknown.considered)
     spread = np.array([*unknown.estimated.values()])
     found = spread[:, None] * np.eye(tracked.size)[first : first + len(spread)]
@@ -668,19 +692,23 @@ def track(
     channels: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Track:
-    """Track a recorded run: its states with their deviations, filtered and smoothed.
+    """Track a recorded run: estimate its states with standard deviations, filtered and smoothed.
 
     Arguments:
-        model: the arm, or a fit of it, whose errors are then considered.
-        run: with commands and measurements.
-        unknown: what is unknown beside the motion; by default what the fit leaves open.
-        latency: after its stamp a measurement is there, s, beside the delay of its clock.
-        gate: deviations; a measurement that is farther off does not count for the state.
-        channels: that are used; all that are measured by default.
-        progress: called with a line now and then.
+        model: model of the arm, or a fit of it, whose parameters are then consider parameters.
+        run: run with commands and measurements.
+        unknown: unknown quantities in addition to the motion; defaults to the consider parameters
+            of the fit.
+        latency: delay of the arrival of a measurement after its time stamp, s, in addition to the
+            delay of its clock.
+        gate: innovation, in standard deviations, above which a measurement is not used for the
+            estimate.
+        channels: channels to use; defaults to all measured channels.
+        progress: function that is called with progress messages.
 
     Raises:
-        InputError: a run of another model, without noise, or driven by something else.
+        InputError: the run is not of an arm, its noise is unknown, or it is not driven by commanded
+            angles.
 
     Example:
         >>> import giajax
@@ -696,13 +724,13 @@ def track(
     names = list(run.observations if channels is None else channels)
     if not (0 <= latency < 60 and gate > 0):
         raise InputError(
-            f"the latency is {latency:g} s and the gate {gate:g}: give a latency of 0 to 60 s and "
-            "a positive gate"
+            f"the latency is {latency:g} s, and the gate is {gate:g}: give a latency of 0 to 60 s, "
+            "and a positive gate"
         )
     noise = noise_of(run, names, result)
     say("estimating the initial state ...")
-    # Where nobody says how much torque is unmodelled, a model that lacks more may have more of it:
-    # what is followed can be judged.
+    # If the unmodelled torque is not given, try larger values for a model that lacks more effects.
+    # A run that can be tracked can then be judged.
     factors = (1, 2, 4) if unknown.torque is None else (1,)
     for factor in factors:
         if factor > 1:
@@ -728,13 +756,13 @@ def track(
     if not np.any(found.used):
         raise InputError(
             f"no measurement of '{run.name}' is accepted, because each deviates by more than "
-            f"{gate:g} standard deviations: "
-            "compare the model with the run first (giajax fit), or allow more (--gate)"
+            f"{gate:g} standard deviations: compare the model with the run first (giajax fit), or "
+            "allow larger deviations (--gate)"
         )
     say("smoothing ...")
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
     if len(unknown.considered) or course.changes:
-        # By the whole run, what is considered on the way is estimated.
+        # The smoother also estimates the consider parameters of the filter.
         _, found = followed_through(tracked, begun, course.events, every)
     smooth, _ = linearised_again(tracked, begun, _moving_at_some_time(course.events), every, found)
     after = as_states(tracked, smooth)
@@ -777,7 +805,7 @@ def track(
 
 
 def correlated_noise_of(run: Run, names: Sequence[str]) -> list[Bias]:
-    """Noise with a memory that a run states, as a bias that changes; each channel has its own."""
+    """Return the correlated noise of a run as time-varying biases, one for each channel."""
     found = []
     for name in names:
         stated = run.correlated_noise(name)
@@ -789,7 +817,7 @@ def correlated_noise_of(run: Run, names: Sequence[str]) -> list[Bias]:
 def chosen(
     tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], settings: Settings
 ) -> Gaussian:
-    """The start that explains the first measurements best."""
+    """Return the initial estimate that explains the first measurements best."""
     events = _first(plan.events, _DECIDES)
     best, most = begins[0], -np.inf
     for start in begins if len(begins) > 1 else ():
@@ -801,17 +829,17 @@ def chosen(
 
 
 def begun_with(system: System, start: Gaussian, watch: Watch | None = None) -> Followed:
-    """A filter that begins."""
+    """Return the initial state of a filter."""
     return Followed(start, jnp.zeros(system.noise.shape[0], int), watch)
 
 
 def _calls(count: int) -> list[tuple[int, int]]:
-    """Where each call for so many rows begins, and how many of them it has."""
+    """Return the first row and the number of rows of each call, for a total number of rows."""
     return [(begin, min(_CHUNK, count - begin)) for begin in range(0, count, _CHUNK)]
 
 
 def _some(rows: Any, begin: int, size: int) -> Any:
-    """As many rows as of each call; after `size` of them the last one is repeated."""
+    """Return the rows of a call, padded to the size of all calls with the last of `size` rows."""
     at = np.minimum(np.arange(begin, begin + _CHUNK), begin + size - 1)
     return jax.tree.map(lambda leaf: leaf[at], rows)
 
@@ -830,20 +858,20 @@ def _joined(parts: Sequence[Any]) -> Any:
 
 LATELY, FEW = 10.0, 4
 """Time (s) and number of values before a measurement that decide whether the arm moves."""
-_MOVES = 2.0  # times the noise, by which an arm that moves is seen to
+_MOVES = 2.0  # standard deviation of a channel that counts as motion, relative to its noise
 
 
 def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Whether a channel has moved by more than its noise lately, at each time.
+    """Return whether any channel has recently moved by more than its noise, at each time.
 
-    Where none has, a parameter shows by products of errors only, which a linearised filter takes
-    for more than they are. The middle one of three values counts, so that an outlier is not taken
-    for motion.
+    At rest, a parameter affects the measurements only by products of errors, whose information a
+    linearised filter overestimates. The median of three values is used, so that an outlier does not
+    count as motion.
 
     Arguments:
-        times: s, in their order, shape (event,).
-        values: SI, NaN of what was not measured, shape (event, channel).
-        noise: standard deviations, SI, shape (channel,).
+        times: increasing times, s, shape (event,).
+        values: measured values, SI units, shape (event, channel); NaN if not measured.
+        noise: standard deviations of the noise, SI units, shape (channel,).
     """
     found = np.zeros(len(times), bool)
     begins = np.searchsorted(times, np.asarray(times) - LATELY)
@@ -857,7 +885,7 @@ def moving(times: np.ndarray, values: np.ndarray, noise: np.ndarray) -> np.ndarr
         sums = np.cumsum(np.stack([np.ones_like(middle), middle, middle**2]), axis=1)
         sums = np.pad(sums, ((0, 0), (1, 0)))
         last = np.searchsorted(there[2:], np.arange(len(times)), side="right")
-        # Of what is seldom measured, the last few.
+        # Use at least the last few values of a channel that is rarely measured.
         first = np.minimum(np.searchsorted(there[2:], begins), np.maximum(last - FEW, 0))
         count, mean, square = sums[:, last] - sums[:, first]
         count = np.maximum(count, 1)
@@ -874,9 +902,9 @@ def _one_call(
     size: int,
     about: tuple[Array, Array] | None = None,
 ) -> tuple[Followed, Filtered]:
-    """The filter over some events."""
+    """Run the filter over the events of one call."""
     if settings.watch is not None and about is None:
-        # So that it is one program.
+        # The placeholder keeps the structure of the arguments, so that one program is compiled.
         nowhere = jnp.full((_CHUNK, followed.state.mean.shape[0]), jnp.nan)
         near: Any = (nowhere, nowhere)
     else:
@@ -892,7 +920,11 @@ def followed_through(
     settings: Settings,
     about: tuple[Array, Array] | None = None,
 ) -> tuple[Followed, Filtered]:
-    """The filter after all events, and after each, whether or not something has changed."""
+    """Run the filter over all events without acting on suspected changes.
+
+    Returns:
+        The state of the filter after all events, and the results for each event.
+    """
     followed = start if isinstance(start, Followed) else begun_with(system, start, settings.watch)
     parts = []
     for begin, size in _calls(len(events.values)):
@@ -903,8 +935,14 @@ def followed_through(
 
 
 class Course(NamedTuple):
-    """What `watched_through` finds: a row for each event, s for each, changes, and events in which
-    they are allowed for."""
+    """Result of `watched_through`.
+
+    Attributes:
+        rows: results of the filter for each event.
+        seconds: computing time per event, s.
+        changes: detected changes.
+        events: events that allow for these changes.
+    """
 
     rows: Filtered
     seconds: float
@@ -913,14 +951,15 @@ class Course(NamedTuple):
 
 
 def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: Settings) -> Course:
-    """The filter over all events; where a parameter has changed, it goes back to when it did.
+    """Run the filter over all events, and act on detected changes.
 
-    From that time on it follows the arm once more with a parameter that is as uncertain as at the
-    start. States from then to when that was found stay as they were known.
+    After a detection, the filter returns to the time of the change, and the uncertainty of the
+    parameter is reset to its initial value at that time. The reported states between the change and
+    its detection remain those from before the detection.
     """
     times, events, count = plan.times, plan.events, len(plan.times)
     parts: list[Filtered] = []
-    # The same as it is known by now, from where the filter goes back.
+    # The latest results, from which the filter restarts after a change.
     latest: list[Filtered] = []
     changes: list[Change] = []
     seconds = []
@@ -969,13 +1008,13 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
 
 
 def since_when(times: Sequence[float] | np.ndarray, now: float, age: float) -> int:
-    """The event that was so long (s) before, which is not the last one."""
+    """Return the index of the event that was `age` seconds ago, but not of the last event."""
     place = bisect.bisect_right(times, now - age + 1e-9) - 1
     return min(max(place, 0), len(times) - 2)
 
 
 def smoothed_through(rows: Filtered) -> Gaussian:
-    """The smoother over all events."""
+    """Run the smoother over all events."""
     after: Any = _row(rows.state, -1)
     parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
     given = (_first(rows.state, -1), jax.tree.map(lambda leaf: leaf[1:], rows.motion))
@@ -989,10 +1028,10 @@ def smoothed_through(rows: Filtered) -> Gaussian:
 
 
 def _moving_at_some_time(events: Events) -> Events:
-    """Events of which all show parameters, if one does.
+    """Return events that all allow the estimation of parameters, if any of them does.
 
-    The filter has to be told when nothing moves, as it is linearised about what it knows by then;
-    about smoothed states what rests is as right as what moves.
+    The filter is linearised about its current estimate and must therefore not estimate parameters
+    at rest. The linearisation about smoothed states is also accurate at rest.
     """
     learning = events.learning
     if learning is None:
@@ -1004,10 +1043,11 @@ def _moving_at_some_time(events: Events) -> Events:
 def linearised_again(
     system: System, start: Gaussian | Followed, events: Events, settings: Settings, rows: Filtered
 ) -> tuple[Gaussian, Filtered]:
-    """Smoothed and filtered states, linearised about the smoothed ones until parameters stay.
+    """Return smoothed and filtered states, relinearised about the smoothed states.
 
-    A first round may go too far, and make the measurements less likely; the one after it then comes
-    back. What counts is the last round in which they are about as likely as in any before.
+    The iteration ends when the parameters have converged. A first iteration may overshoot and
+    reduce the likelihood, which the next one corrects. The result is the last iteration whose
+    likelihood is about as high as that of any earlier one.
     """
     smooth = smoothed_through(rows)
     if settings.watch is None:
@@ -1016,7 +1056,7 @@ def linearised_again(
     directions = settings.watch.directions
     for _ in range(_ROUNDS):
         mean = smooth.mean
-        # Before the first interval there is no smoothed state.
+        # There is no smoothed state before the first interval.
         about = (jnp.concatenate([jnp.full_like(mean[:1], jnp.nan), mean[:-1]]), mean)
         _, again = followed_through(system, start, events, settings, about)
         better = smoothed_through(again)
@@ -1033,7 +1073,7 @@ def linearised_again(
 
 
 def log_likelihood_of(rows: Filtered) -> float:
-    """Of all measurements together."""
+    """Return the log-likelihood of all measurements together."""
     return float(jnp.sum(rows.innovation.log_likelihood))
 
 
@@ -1043,7 +1083,7 @@ def _of_each(function: Callable[..., Any], tracked: TrackedArm, rows: Any) -> An
 
 
 def _ahead(tracked: TrackedArm, plan: Plan, states: Gaussian, late: float) -> Gaussian:
-    """Each state so much later."""
+    """Predict each state `late` seconds ahead."""
     count = max(int(np.ceil(late / _AHEAD - 1e-9)), 1)
     edges = plan.times[:, None] + np.linspace(0.0, late, count + 1)[None]
     found: Gaussian = _of_each(predicted, tracked, (states, plan.held(edges[:, :-1], edges[:, 1:])))

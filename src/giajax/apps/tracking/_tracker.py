@@ -1,4 +1,4 @@
-"""A filter whose measurements come late, one after the other, and out of their order."""
+"""Filter for measurements that arrive one after another, late and out of order."""
 
 import bisect
 from collections.abc import Callable, Mapping
@@ -54,42 +54,44 @@ Kept = TypeVar("Kept", bound=System)
 
 
 class _Clone(NamedTuple):
-    """The state as it was after an event."""
+    """State of the filter after an event."""
 
     time: float
     event: Events
     followed: Followed
 
 
-_WINDOW = 60.0  # s, in which a parameter that is estimated may have changed
-_BEFORE = 20  # rows before those that are looked at, of which some are of every channel
-_FIRST_PAUSE = 10.0  # s, before what is kept is linearised once more; then twice as long
+_WINDOW = 60.0  # duration within which a change of an estimated parameter can be detected, s
+_BEFORE = 20  # additional earlier rows for the detection of motion, to include rarely measured ones
+_FIRST_PAUSE = 10.0  # time before the first relinearisation, s; doubled each time
 
 
 class DelayedFilter(Generic[Kept]):
-    """Clones of past states, of which a late measurement updates the one of its time.
+    """Kalman filter that keeps copies of past states to process late measurements.
 
-    A measurement that is older than the last one goes to where it belongs: the state of that time
-    is updated by it, and what was measured since then once more. So the state is what it would be
-    had all measurements come in the order of their times.
+    A measurement that is older than the last one updates the state of its time, and the later
+    measurements are then processed again. The state is therefore the same as for measurements that
+    arrive in order.
 
-    Where states are watched, a change of one is looked for, too; from when it happened the filter
-    goes on with that state as uncertain as at the start. And what is kept is linearised once more,
-    about the smoothed states, after 10 s, 30 s, 70 s and so on.
+    If states are watched, the filter also detects changes of these states. After a detection, it
+    returns to the time of the change and continues with the initial uncertainty of that state. In
+    addition, all kept states are relinearised about the smoothed states after 10 s, 30 s, 70 s and
+    so on.
 
     Arguments:
-        system: what is tracked.
-        time: of the start, s.
-        start: what is known then.
-        interval: gives what is known of an interval by its beginning and end, s.
-        longest: interval of the filter, s.
-        history: how long states are kept, s; what comes later than that is lost.
-        gate: deviations; a measurement that is farther off does not count.
-        estimated: which states measurements change; all by default.
-        corners: gives the times within an interval at which what is known of it bends; none by
-            default.
-        watched: directions of the states that may change, each as long as the deviation of such a
-            change, shape (change, state); None: none does.
+        system: system that is tracked.
+        time: time of the start, s.
+        start: initial estimate.
+        interval: function that returns the known inputs of an interval from its beginning and
+            end, s.
+        longest: longest interval of the filter, s.
+        history: duration for which states are kept, s; older measurements are lost.
+        gate: innovation, in standard deviations, above which a measurement is not used.
+        estimated: whether each state is estimated; defaults to all states.
+        corners: function that returns the times within an interval at which the known inputs are
+            not linear; by default there are none.
+        watched: directions of the states that may change, each scaled by the standard deviation of
+            such a change, shape (change, state); None for no detection.
     """
 
     def __init__(
@@ -118,7 +120,7 @@ class DelayedFilter(Generic[Kept]):
         self._nothing = np.full(system.noise.shape[0], np.nan)
         self._noise = np.asarray(system.noise)
         self._watched = watched
-        # All rows that are kept, in the order of their times.
+        # All rows that are kept, in order of time.
         self._times: list[float] = []
         self._rows: list[np.ndarray] = []
         self._pause = _FIRST_PAUSE
@@ -129,24 +131,28 @@ class DelayedFilter(Generic[Kept]):
 
     @property
     def time(self) -> float:
-        """Of the last measurement, s."""
+        """Time of the last measurement, s."""
         return self._clones[-1].time
 
     @property
     def state(self) -> Gaussian:
-        """At that time."""
+        """Estimate at the time of the last measurement."""
         return self._clones[-1].followed.state
 
     def measure(self, time: float, values: Any) -> Filtered | None:
-        """Take measurements of one time (s), SI, NaN of what was not measured.
+        """Process the measurements of one time.
+
+        Arguments:
+            time: time of exposure, s.
+            values: value of each channel, SI units; NaN if it was not measured.
 
         Returns:
-            What they were beside, by what was measured before; None of what is older than the
-            history, which is lost.
+            The result of the filter for these measurements, or None if they are older than the
+            history and therefore lost.
 
         Raises:
-            InputError: a number of values that is not that of the channels, or a time that is not
-                a number.
+            InputError: the number of values is not the number of channels, or the time is not a
+                finite number.
         """
         if not np.isfinite(time):
             raise InputError(f"the time of the measurements is {time} s: give a finite number")
@@ -154,10 +160,10 @@ class DelayedFilter(Generic[Kept]):
         if values.shape != self._nothing.shape:
             raise InputError(
                 f"a row of {values.size} measurements is given for {self._nothing.size} channels: "
-                "give one for each channel, NaN where nothing was measured"
+                "give one for each channel, and NaN where nothing was measured"
             )
         place = bisect.bisect_right(self._clones, time, key=_time)
-        # Two measurements of one time are one event after the other, without an interval.
+        # Two measurements of the same time are successive events without an interval.
         if place == 0:
             self.lost += 1
             return None
@@ -175,10 +181,10 @@ class DelayedFilter(Generic[Kept]):
         return found
 
     def ahead(self, time: float) -> Gaussian:
-        """What is expected of a later time (s), by all that was measured; nothing is kept.
+        """Predict the state at a later time, s, from all measurements; the filter is not changed.
 
         Raises:
-            InputError: a time before the last measurement.
+            InputError: the time is before the last measurement.
         """
         if not self.time <= time < np.inf:
             raise InputError(
@@ -192,7 +198,7 @@ class DelayedFilter(Generic[Kept]):
         return followed.state
 
     def _moves(self, time: float) -> bool:
-        """Whether what is tracked has moved lately, of a time at which something was measured."""
+        """Return whether the system has recently moved, at the time of a measurement."""
         end = bisect.bisect_right(self._times, time)
         begin = max(min(bisect.bisect_left(self._times, time - LATELY), end) - _BEFORE, 0)
         some = (np.array(self._times[begin:end]), np.array(self._rows[begin:end]))
@@ -207,7 +213,7 @@ class DelayedFilter(Generic[Kept]):
             begin = end
 
     def _repeat(self, clones: list[_Clone]) -> None:
-        """What was measured then, once more; the first of these has another interval."""
+        """Process the events of clones again; the interval of the first one has changed."""
         for clone in clones[:1]:
             there = np.asarray(clone.event.there)
             self._go_on(clone.time, np.where(there, clone.event.values, np.nan))
@@ -219,7 +225,7 @@ class DelayedFilter(Generic[Kept]):
         self._clones.append(_Clone(time, event, followed))
 
     def _look(self, watched: Array) -> None:
-        """Whether a state has changed, and whether it is time to linearise once more."""
+        """Handle a detected change of a state, and relinearise if it is time to."""
         suspected = None if self._last is None else self._last.suspected
         if suspected is not None and float(suspected.square) > CHANGED**2:
             times = [clone.time for clone in self._clones]
@@ -236,7 +242,7 @@ class DelayedFilter(Generic[Kept]):
             self._linearise()
 
     def _linearise(self) -> None:
-        """What is kept once more, about its smoothed states."""
+        """Relinearise all kept states about the smoothed states."""
         kept = self._clones[1:]
         if len(kept) < 2:
             return
@@ -267,12 +273,12 @@ class DelayedFilter(Generic[Kept]):
             moves = bool(there.any()) and self._moves(end)
             given: Any = (np.asarray(end - begin), np.asarray(moves), self._loosened(begin, end))
             learning = Learning(*given)
-        # Of NumPy: a hundred times in a second small arrays are slow in JAX.
+        # Use NumPy, because creating small JAX arrays a hundred times per second is slow.
         seen: Any = np.where(there, values, 0.0)
         return Events(self._interval(begin, end), seen, cast("Any", there), learning)
 
     def _loosened(self, begin: float, end: float) -> np.ndarray:
-        """By what has changed at the beginning of an interval, or in it."""
+        """Return the additional root of the covariance for changes in an interval."""
         assert self._watched is not None
         found = np.zeros(self._watched.shape[1])
         for time, _, suspected in self.changes:
@@ -286,7 +292,7 @@ class DelayedFilter(Generic[Kept]):
     def _forget(self) -> None:
         old = self.time - self._history
         del self._clones[: max(bisect.bisect_right(self._clones, old, key=_time) - 1, 0)]
-        # Of these the oldest events ask whether anything moved before.
+        # Keep earlier rows too, for the detection of motion at the oldest events.
         gone = bisect.bisect_left(self._times, self._clones[0].time - LATELY) - _BEFORE
         del self._times[: max(gone, 0)], self._rows[: max(gone, 0)]
 
@@ -296,7 +302,7 @@ def _time(clone: _Clone) -> float:
 
 
 def _stacked(rows: list[Any]) -> Any:
-    # By numpy: hundreds of small arrays are slow in JAX.
+    # Use NumPy, because hundreds of small arrays are slow in JAX.
     return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows)
 
 
@@ -306,28 +312,28 @@ class _Initial(NamedTuple):
 
 
 class Tracker:
-    """Where an arm is, by rows of commands and measurements that come one after the other.
+    """Tracker of an arm, which processes rows of commands and measurements one after another.
 
-    The delays of its sensors (`camera.delay`, `encoder.delay`) say how much earlier than its stamp
-    a row shows the arm. Rows may be late and out of order.
+    The delays of the sensors (`camera.delay`, `encoder.delay`) are the times between the exposure
+    of a row and its time stamp. Rows may be late and out of order.
 
     Arguments:
-        model: the arm, or a fit of it, whose errors are then considered.
-        noise: standard deviation of each channel that is measured, SI, by name.
-        unknown: what is unknown beside the motion.
-        time: of the start, s.
-        command: commanded angles then, rad, shape (joint,); 0 by default.
-        angles, rates: of the joints then, rad and rad/s; without angles the arm has come to rest
-            in its wind.
-        wind: that is known and stays, m/s, shape (3,), beside that of the arm; still air by
-            default.
-        held: whether a command stays until the next one; it moves there on a line by default.
-        history: how late a row may be, s; 60 at least where parameters are estimated.
-        gate: deviations; a measurement that is farther off does not count.
+        model: model of the arm, or a fit of it, whose parameters are then consider parameters.
+        noise: name of each measured channel -> standard deviation of its noise, SI units.
+        unknown: unknown quantities in addition to the motion.
+        time: time of the start, s.
+        command: commanded angles at the start, rad, shape (joint,); defaults to 0.
+        angles, rates: angles and rates of the joints at the start, rad and rad/s; without angles,
+            the arm is at rest in its wind.
+        wind: known constant wind, m/s, shape (3,), in addition to that of the arm; defaults to
+            still air.
+        held: whether a command is held until the next one; by default it is interpolated linearly.
+        history: largest delay of a row, s; at least 60 if parameters are estimated.
+        gate: innovation, in standard deviations, above which a measurement is not used.
 
     Raises:
-        InputError: a model that is not that of an arm, a channel that it does not have, or a wind
-            that is both known and tracked.
+        InputError: the model is not that of an arm, a channel does not belong to it, or the wind is
+            both known and tracked.
 
     Example:
         >>> import giajax
@@ -359,7 +365,7 @@ class Tracker:
         if not noise or not all(size > 0 for size in noise.values()):
             raise InputError(
                 "the noise of a tracker must be a positive number in SI units for at least one "
-                "channel: give noise={'tip_x': 0.02} or the like"
+                "channel: give it, such as noise={'tip_x': 0.02}"
             )
         self.arm: TrackedArm = tracked_arm(
             stated,
@@ -423,17 +429,18 @@ class Tracker:
         )
 
     def update(self, row: Mapping[str, float]) -> States:
-        """Take a row of commands and measurements, and say where the arm was at the last of them.
+        """Process a row, and return the estimate at the time of the last measurement.
 
-        Commands of a row that is older than the last one do not count.
+        Commands of a row that is older than the last one are ignored.
 
         Arguments:
-            row: `time`, the stamp (s); commanded angles of joints by name (`joint01_command`, rad),
-                of which those that are left out stay; measured channels, SI, NaN or left out where
-                there is none.
+            row: `time`, the time stamp, s; commanded angles of joints by name (`joint01_command`,
+                rad), where omitted ones stay the same; and measured channels, SI units, which can
+                be NaN or omitted.
 
         Raises:
-            InputError: no time, or a name that is neither a command nor a measured channel.
+            InputError: the row has no time, or a name that is neither a command nor a measured
+                channel.
         """
         if "time" not in row or not np.isfinite(row["time"]):
             raise InputError("a row has no time: give its time stamp in s")
@@ -472,17 +479,19 @@ class Tracker:
         return self._states(self.filter.state)
 
     def now(self, time: float | None = None) -> States:
-        """What is expected of a time (s) after the last measurement, by the last command.
+        """Predict the state at a time after the last measurement, s, with the last command.
+
+        The time defaults to that of the last row.
 
         Raises:
-            InputError: a time before the last measurement.
+            InputError: the time is before the last measurement.
         """
         ahead = max(self._knots[-1], self.filter.time) if time is None else float(time)
         return self._states(self.filter.ahead(ahead))
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Estimated parameters that have changed."""
+        """Detected changes of estimated parameters."""
         return tuple(
             Change(
                 self._free[int(found.which)],
@@ -496,17 +505,16 @@ class Tracker:
 
     @property
     def innovation(self) -> np.ndarray:
-        """What the last row measured beside what was expected, shape (channel,).
+        """Whitened innovations of the last row, with standard deviation 1, shape (channel,).
 
-        As independent numbers of deviation 1; 0 of what was not measured, was lost, or is an
-        outlier.
+        A channel that was not measured, was lost, or is an outlier has the value 0.
         """
         none = np.zeros(len(self.arm.channels))
         return none + sum(np.asarray(each.innovation.whitened) for each in self._found)
 
     @property
     def used(self) -> np.ndarray:
-        """Which channels of the last row counted, shape (channel,)."""
+        """Whether each channel of the last row was used, shape (channel,)."""
         none = np.zeros(len(self.arm.channels), bool)
         return none | np.any([none, *(np.asarray(each.used) for each in self._found)], axis=0)
 
@@ -516,13 +524,14 @@ class Tracker:
     def _held(self, begin: float, end: float) -> Held:
         command = [self._command(begin), self._command(begin if self._stays else end)]
         wind = np.tile(self._wind, (2, 1))
-        # Of two measurements of one time the second has no interval, by which slopes are divided.
+        # Two measurements of the same time have an interval of 0, by which slopes must not be
+        # divided.
         known: Any = (begin, max(end - begin, SHORT), np.stack(command), wind)
         given: Any = [np.asarray(each, float) for each in known]
         return Held(*given)
 
     def _corners(self, begin: float, end: float) -> list[float]:
-        """Knots within an interval at which the command jumps, or bends."""
+        """Return the knots within an interval at which the command or its slope jumps."""
         first = bisect.bisect_right(self._knots, begin + _APART)
         last = bisect.bisect_left(self._knots, end - _APART)
         found = []
@@ -535,7 +544,7 @@ class Tracker:
         return found
 
     def _command(self, time: float) -> np.ndarray:
-        """That of a time, between two knots on a line or held; beyond them the nearest."""
+        """Return the command at a time, held or interpolated between knots; the nearest outside."""
         place = bisect.bisect_right(self._knots, time)
         if place in (0, len(self._knots)):
             return self._commands[min(place, len(self._knots) - 1)]
@@ -544,7 +553,7 @@ class Tracker:
         return (1 - share) * self._commands[place - 1] + share * self._commands[place]
 
 
-_APART = 1e-6  # s, of two times that are not one
+_APART = 1e-6  # smallest difference of two distinct times, s
 
 
 def _row(name: str, values: Any, count: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Whether a track can be trusted, and what is wrong where it cannot."""
+"""Verdict on a track: consistency of the innovations, and explanations if they are inconsistent."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -29,29 +29,29 @@ from ._track import (
 )
 
 BAND = 1.96
-"""Half-width, in standard deviations, of an interval that contains the mean in 95 % of cases."""
-# What is off by less is of no consequence, whatever the number of measurements.
+"""Half-width of a two-sided 95 % interval of a normal variable, in standard deviations."""
+# Deviation of the NIS or of a correlation that is tolerated for any number of measurements.
 _ENOUGH = 0.1
-_BEYOND = 4.0  # standard errors
-_LAGS = 10  # events
-_GAIN = 8.0  # of the log-likelihood: 4 standard errors of one number
-# Rows of the run by which explanations are compared, and clocks: gusts hide a shift of one wherever
-# no command moves.
+_BEYOND = 4.0  # tolerated deviation in standard errors
+_LAGS = 10  # largest lag of the correlations, events
+_GAIN = 8.0  # required gain in log-likelihood: 4 standard errors of one parameter
+# Rows of the run by which explanations are compared, and rows by which clocks are compared: gusts
+# can mask a shift of a clock while no command moves.
 _FIRST, _FIRST_OF_CLOCKS = 600, 1800
-_SHIFTS = (-0.2, 0.2)  # of a clock, s
-_OFTEN = 0.02  # of the measurements that are left out
+_SHIFTS = (-0.2, 0.2)  # tested shifts of a clock, s
+_OFTEN = 0.02  # tolerated fraction of rejected measurements
 
 
 @dataclasses.dataclass(frozen=True)
 class Cause:
-    """An explanation of what is off.
+    """Possible explanation of inconsistent innovations.
 
     Attributes:
-        name: of it.
-        gain: of the log-likelihood by it.
-        advice: what to do, in a sentence.
-        value: of the number that it is about, SI; None where it has none.
-        deviation: of that.
+        name: name of the explanation.
+        gain: gain in log-likelihood.
+        advice: recommended action, as a sentence.
+        value: value of the parameter in question, SI units; None if there is none.
+        deviation: standard deviation of the value.
     """
 
     name: str
@@ -63,16 +63,17 @@ class Cause:
 
 @dataclasses.dataclass(frozen=True)
 class TrackVerdict:
-    """Whether what was measured is as far from what was expected as it should be.
+    """Verdict on the consistency of the innovations.
 
     Attributes:
-        adequate: whether that is so, and no explanation is better.
-        nis: mean square of the whitened innovations that counted, 1 where all is right.
-        nis_error: standard error of that.
-        correlation: largest correlation of them between one event and one of the next ten.
-        left_out: share of the measurements that did not count.
-        causes: explanations that were tried, the best first.
-        tried: names of them all.
+        adequate: whether the innovations are consistent and no explanation is significantly better.
+        nis: mean square of the whitened innovations that were used; 1 for a correct model.
+        nis_error: standard error of `nis`.
+        correlation: largest correlation of the innovations of an event with those of one of the
+            next ten events.
+        left_out: fraction of the measurements that were rejected.
+        causes: explanations that are significantly better, the best first.
+        tried: names of all explanations that were tested.
     """
 
     adequate: bool
@@ -85,7 +86,7 @@ class TrackVerdict:
 
     @property
     def sentence(self) -> str:
-        """It in one sentence."""
+        """Verdict in one sentence."""
         if self.adequate:
             return "adequate: the innovations are white and as large as expected"
         if self.causes:
@@ -99,7 +100,7 @@ class TrackVerdict:
 
 
 def _first_rows(run: Run, count: int = _FIRST) -> Run:
-    """The first rows of a run, which are as many for every explanation."""
+    """Return the first rows of a run; the number is the same for all explanations."""
     if run.times is None or len(run.times) <= count:
         return run
     values = {name: column[:count] for name, column in run.values.items()}
@@ -107,9 +108,9 @@ def _first_rows(run: Run, count: int = _FIRST) -> Run:
 
 
 def _without_first(run: Run, names: Sequence[str], late: float) -> Run:
-    """Without what a clock that is so late (s) shows of the time before the run.
+    """Return a run without the measurements that a clock with a delay exposed before the run.
 
-    Likelihoods of several delays are then of the same measurements.
+    The delay `late` is in s. The likelihoods of several delays then use the same measurements.
     """
     assert run.times is not None
     early = run.times < run.times[0] + late - 1e-9
@@ -120,9 +121,12 @@ def _without_first(run: Run, names: Sequence[str], late: float) -> Run:
 
 
 def consistent(found: Track) -> tuple[bool, float, float, float, float]:
-    """Whether innovations are as expected, and by which numbers; as of `TrackVerdict`."""
+    """Return whether the innovations are consistent, and the numbers of `TrackVerdict`.
+
+    These numbers are `nis`, `nis_error`, `correlation` and `left_out`.
+    """
     count, counted = int(np.sum(found.there)), int(np.sum(found.used))
-    # Outliers are judged by how many there are.
+    # Outliers are not included here: they are judged by their number.
     nis = float(np.sum(found.whitened**2) / counted)
     error = float(np.sqrt(2 / counted))
     rows = found.whitened[np.any(found.used, axis=1)]
@@ -145,17 +149,18 @@ def judge(
     look: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> TrackVerdict:
-    """Whether a track of a model can be trusted.
+    """Judge whether a track is consistent with its model.
 
-    Clocks are shifted in any case, by the log-likelihood of the first 1,800 rows. Where innovations
-    are too large or not white, a wind with gusts, other stiffness and drag, a bias of the camera,
-    more unmodelled torque and more noise are tried, too, by that of the first 600.
+    If a command moves, shifts of a clock are always tested, by the log-likelihood of the first
+    1,800 rows. If the innovations are too large or not white, further explanations are tested by
+    the log-likelihood of the first 600 rows: a wind with gusts, a different stiffness and drag, a
+    bias of the camera, more unmodelled torque, and different noise.
 
     Arguments:
-        model: that was tracked.
-        found: the track.
-        look: whether explanations are tried.
-        progress: called with a line now and then.
+        model: model that was tracked.
+        found: track to judge.
+        look: test explanations.
+        progress: function that is called with progress messages.
     """
     say = progress or (lambda _: None)
     sound, nis, error, largest, left_out = consistent(found)
@@ -183,7 +188,7 @@ def judge(
     base = likely(stated, found.unknown) if look and not sound else 0.0
 
     moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
-    # Of two clocks one is late where the other is early: the first is shifted.
+    # Shift only the first of two clocks, because only their difference matters.
     clocks = sorted({delay_path(name) for name in found.arm.channels} - {""})
     for path in clocks[:1] if moves and look else ():
         say(f"testing {path} ...")
@@ -204,7 +209,7 @@ def judge(
                     Cause(
                         path,
                         gain,
-                        f"{path} is about {nominal + at:.2f} s but stated as {nominal:.2f} s: "
+                        f"{path} is about {nominal + at:.2f} s, but given as {nominal:.2f} s: "
                         "correct or fit it",
                         nominal + at,
                         deviation,
@@ -224,7 +229,11 @@ def judge(
 
 
 def _highest(gains: dict[float, float]) -> tuple[float, float, float] | None:
-    """Where a parabola through the best three is highest, how high, and its deviation."""
+    """Return the maximum of a parabola through the best three points.
+
+    The result is the position of the maximum, its height, and the standard deviation of the
+    position.
+    """
     shifts = sorted(gains)
     best = int(np.argmax([gains[shift] for shift in shifts]))
     middle = min(max(best, 1), len(shifts) - 2)
@@ -243,7 +252,7 @@ _USUAL_WIND, _USUAL_GUSTS = (0.0, 0.2, 0.0), (0.3, 5.0)
 
 
 def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
-    """Other explanations: a name, what is unknown by it, noise, and advice."""
+    """Return further explanations, each with its name, unknowns, noise and advice."""
     unknown = found.unknown
     others: list[Any] = []
 
@@ -295,24 +304,24 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
 
 
 def usual_places(model: ArmModel) -> int:
-    """As many places of gusts as a long arm needs: one for each 2.5 m, and two at least."""
+    """Return the default number of gust places: one per 2.5 m, and at least two."""
     length = float(np.sum(np.asarray(model.arm.links.length)))
     return int(np.clip(np.ceil(length / 2.5), 2, model.arm.count)) if model.arm.count > 1 else 1
 
 
 def nees(found: Track, truth: Run) -> tuple[float, float]:
-    """How far the filter is from the truth, over what it says of that.
+    """Compare the errors of the filter with their standard deviations, given the true states.
 
     Arguments:
-        found: the track.
-        truth: a run with the true angles or rates of joints, at least at some of its times.
+        found: track to compare.
+        truth: run with the true angles or rates of joints, at least at some of its times.
 
     Returns:
-        Mean normalised square of the error of a state, 1 where deviations are right, and the share
-        of errors within `BAND` deviations, 0.95 there.
+        The normalised estimation error squared (NEES) per state, 1 for correct standard deviations,
+        and the fraction of errors within `BAND` standard deviations, 0.95 for correct ones.
 
     Raises:
-        InputError: no true angle or rate, or none at a time of the track.
+        InputError: the run has no true angle or rate, or none at the times of the track.
     """
     count = found.arm.joints
     columns = [
@@ -350,16 +359,23 @@ def unseen(
     unknown: Unknown | None = None,
     channels: Sequence[str] | None = None,
 ) -> list[tuple[str, float, float]]:
-    """States that channels hardly show, before anything is measured.
+    """Return the weakly observable states, without using measured values.
 
-    By the filter's covariance over the first 600 rows of a run, of which only times, commands and
-    which channels there are count. Parameters are taken as estimated.
+    They follow from the covariance of the filter over the first 600 rows of a run. Only the times,
+    the commands and the choice of channels of the run are used. Consider parameters are treated as
+    estimated.
+
+    Arguments:
+        model: model of the arm, or a fit of it.
+        run: run that provides the times, the commands and the channels.
+        unknown: unknown quantities, as for `track`.
+        channels: channels to use; defaults to all measured channels.
 
     Returns:
-        Names, and deviations before and after, SI.
+        Names of the states, with initial and final standard deviations, SI units.
 
     Raises:
-        InputError: as of `track`.
+        InputError: as in `track`.
     """
     result = model if isinstance(model, FitResult) else None
     stated, given = model_and_unknown(model, run, unknown)

@@ -1,4 +1,4 @@
-"""An arm in three dimensions, in a browser: a live page, and a page that plays without a server."""
+"""View an arm in 3D in a browser: a live page, and a page that plays without a server."""
 
 from ._beside import outline as outline
 from ._gate import (

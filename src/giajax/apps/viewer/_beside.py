@@ -1,4 +1,4 @@
-"""What a page has beside its scene: the points that its camera shows, a legend, and plots."""
+"""Contents of a page besides its scene: points for the camera, a legend, and plots."""
 
 import functools
 import json
@@ -28,7 +28,8 @@ from ._stage import (
     marker_colour,
 )
 
-# Directions, evenly over the sphere (a Fibonacci lattice), in which points are the farthest.
+# Directions along which the farthest points are sought, evenly distributed over the sphere (a
+# Fibonacci lattice).
 _COUNT = 240
 _TURN = np.pi * (1 + np.sqrt(5)) * np.arange(_COUNT)
 _UP = 1 - (2 * np.arange(_COUNT) + 1) / _COUNT
@@ -37,14 +38,15 @@ _DIRECTIONS = np.stack(
 )
 
 
-_MOST_SAMPLES = 1500  # for which the points are compared: a page is made in a fraction of a second
+# Longer motions are thinned to at least this number of samples, which keeps a page quick to make.
+_MOST_SAMPLES = 1500
 
 
 def outline(scene: Scene) -> Float[np.ndarray, "direction 3"]:
-    """Points of all bodies over all samples that are the farthest in directions all around, m.
+    """Return the farthest points of all bodies over all samples in many directions, m.
 
-    A picture that has all of them has the arm at every sample; of a longer motion at 1,500 to
-    3,000 samples, evenly over it.
+    A picture that contains these points contains the arm at every sample. Of a motion with more
+    than 3,000 samples, only 1,500 to 3,000 evenly spaced samples are used.
     """
     found = []
     for line in scene.lines:
@@ -63,13 +65,13 @@ def outline(scene: Scene) -> Float[np.ndarray, "direction 3"]:
 
 
 def _farthest(points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "direction 3"]:
-    """Of points those that are the farthest in any direction."""
+    """Return the points that are the farthest in any direction."""
     points = points[np.isfinite(points).all(axis=1)]
     return points[np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))] if len(points) else points
 
 
 def about(stages: Sequence[Stage], *, live: bool = False, dark: bool = False) -> dict[str, Any]:
-    """What a page needs to draw what is beside the scene of its stages."""
+    """Return the data of a page for everything that it draws besides the scene of its stages."""
     shows = [stage.show for stage in stages]
     places = [stage.offset for stage in stages]
     points = np.concatenate(
@@ -93,7 +95,7 @@ def about(stages: Sequence[Stage], *, live: bool = False, dark: bool = False) ->
 
 
 def _legend(stages: Sequence[Stage]) -> list[tuple[str, str]]:
-    """Colours, and what has them, with the unit and the scale of what has one."""
+    """Return each colour with its description, which gives the scale and its unit if any."""
     rows: list[tuple[Colour, str]] = []
     layers = {layer for stage in stages for layer in stage.layers()}
     scale = stages[0].scale
@@ -121,11 +123,11 @@ def _legend(stages: Sequence[Stage]) -> list[tuple[str, str]]:
     return [(f"rgb({red}, {green}, {blue})", text) for (red, green, blue), text in rows]
 
 
-_MOST_MARKERS = 20  # of a show that have a plot
+_MOST_MARKERS = 20  # largest number of plotted markers per show
 
 
 def _plots(shows: Sequence[Show], times: np.ndarray) -> list[dict[str, Any]]:
-    """Quantities over time: markers, the tip's first, and the largest force and pressure."""
+    """Return plots versus time: markers (the tip first), and the largest force and pressure."""
     found = []
     for show in shows:
         scene, samples = show.scene, [show.sample_at(float(time)) for time in times]
@@ -164,8 +166,8 @@ def _numbers(values: np.ndarray) -> list[float | None]:
 
 
 def beside(page: bytes, facts: dict[str, Any]) -> bytes:
-    """A page of viser with what is beside its scene."""
-    # The name of a run does not end the script that it stands in.
+    """Return a viser page with the contents besides its scene added."""
+    # The name of a run must not end the script element that contains it.
     data = json.dumps(facts).replace("<", "\\u003c")
     style, script = (
         files(__package__).joinpath(f"page.{kind}").read_text() for kind in ("css", "js")
@@ -180,7 +182,7 @@ def beside(page: bytes, facts: dict[str, Any]) -> bytes:
 
 @functools.cache
 def viser_page() -> bytes:
-    """The page that viser serves."""
+    """Return the page that viser serves."""
     import viser
 
     return Path(viser.__file__).parent.joinpath("client", "build", "index.html").read_bytes()

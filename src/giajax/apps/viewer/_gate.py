@@ -1,9 +1,9 @@
-"""The way in to a page: an address with a secret in it, and nothing without.
+"""Gate in front of the server of a page, which requires a secret token in the address.
 
-What serves a page here listens where this account alone can reach it, and knows no users. The gate
-listens where it is told to, reads the head of each request, and passes on only what begins with
-the token, without it, and what comes from the page itself. A connection carries one request or one
-WebSocket.
+The server of a page listens where only this account can reach it, and does not authenticate users.
+The gate listens at the given host and port and reads the head of each request. It passes a request
+on, without the token, only if its path begins with the token and it comes from the page itself. A
+connection carries one request or one WebSocket.
 """
 
 import asyncio
@@ -26,19 +26,19 @@ from pathlib import Path
 from ...runtime.page_policy import VISER, policy
 from ...runtime.text import InputError
 
-# Where the servers of a page listen: behind the gate, out of reach of other accounts and pages.
+# The servers of a page listen behind the gate, where other accounts and pages cannot reach them.
 
-_LONGEST = 100  # of the path of a Unix socket; macOS has the least, 104
+_LONGEST = 100  # longest path of a Unix socket, bytes; the smallest limit is that of macOS, 104
 
 
 class PrivateSocket:
-    """A place for a Unix socket, in a folder that only this account may enter.
+    """Path for a Unix socket, in a folder that only this account can enter.
 
     Attributes:
-        path: of the socket, which the server makes.
+        path: path of the socket, which the server creates.
 
     Raises:
-        InputError: this system has no such sockets, or no temporary folder that suits one.
+        InputError: the system has no Unix sockets, or no suitable temporary folder.
     """
 
     def __init__(self) -> None:
@@ -62,15 +62,15 @@ class PrivateSocket:
             )
 
     def close(self) -> None:
-        """Remove it."""
+        """Remove the folder and the socket."""
         self._folder.cleanup()
 
 
 def open_in_browser(address: str) -> None:
     """Open a page in the browser of this account.
 
-    Other accounts see the words that a browser is started with, so that these are the name of a
-    file which only this account may read, and which leads to the address.
+    Other accounts can see the command line of the browser. The command line therefore names a file
+    that only this account can read and that redirects to the address.
     """
     folder = tempfile.mkdtemp(prefix="giajax-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -86,12 +86,13 @@ def open_in_browser(address: str) -> None:
 
 LOOPBACK = "127.0.0.1"
 
-_LONGEST_HEAD = 64 * 1024  # of a request: more than a browser sends for a page
+_LONGEST_HEAD = 64 * 1024  # longest head of a request, bytes; a browser sends less for a page
 
-# Seconds in which a head must have come, and in which something of an answer must move.
+# Timeouts, s: for the complete head of a request, and for any progress of an answer.
 _HEAD_TIME, _IDLE_TIME = 10.0, 60.0
 
-# Connections without a head, and as many with the token; of one peer half of them.
+# Largest numbers of connections, in total and per peer. They apply separately to connections that
+# have not sent a head and to admitted connections.
 _MOST, _MOST_OF_PEER = 64, 32
 
 _TOKEN = "The address of this page lacks the token: open the full address."
@@ -106,19 +107,19 @@ _log = logging.getLogger(__name__)
 
 
 class _RefusedError(Exception):
-    """A request that is not passed on: its status, and why."""
+    """Request that is not passed on; its arguments are the status and the reason."""
 
 
 class Gate:
-    """Lets requests through whose path begins with a token.
+    """Gate that passes on the requests whose path begins with a token.
 
     Arguments:
-        sockets: of the servers behind it, by the first part of the path after the token; "" is
-            that of everything else.
-        host, port: where to listen; 0 for a free one.
+        sockets: sockets of the servers behind the gate, by the first part of the path after the
+            token; "" is the socket for all other paths.
+        host, port: host and port to listen at; port 0 chooses a free one.
 
     Raises:
-        InputError: the port is in use, or the host is not one of this machine.
+        InputError: the port is in use, or the host is not an address of this machine.
     """
 
     def __init__(self, sockets: Mapping[str, Path], *, host: str = LOOPBACK, port: int = 0) -> None:
@@ -129,7 +130,8 @@ class Gate:
         self._names = {host.lower(), "localhost"}
         if self.is_open:
             self._names.add(socket.gethostname().lower())
-        # Who has not said what it wants, the first one first, and who was let in: with its peer.
+        # The connections that have not sent a head yet (oldest first) and the admitted ones, each
+        # with its peer.
         self._waiting: dict[asyncio.StreamWriter, str] = {}
         self._admitted: dict[asyncio.StreamWriter, str] = {}
         self._listens = threading.Event()
@@ -140,25 +142,25 @@ class Gate:
 
     @property
     def address(self) -> str:
-        """Of the page, for a browser; by the name of this machine where all of it listens."""
+        """Address of the page, with the host name of the machine if all interfaces are used."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/{self.token}/"
 
     @property
     def is_open(self) -> bool:
-        """Whether other machines can reach it."""
+        """Whether other machines can reach the gate."""
         return self.host not in (LOOPBACK, "localhost", "::1")
 
     def close(self) -> None:
-        """Accept no connection any more."""
+        """Stop accepting connections and end the open ones."""
         if self._loop.is_running():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(timeout=5)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        # Of what peers do, and of files that ran out, nobody needs a traceback.
+        # Errors caused by peers or by a lack of file descriptors do not need a traceback.
         self._loop.set_exception_handler(lambda _, about: _log.debug("%s", about["message"]))
         server = self._loop.run_until_complete(
             asyncio.start_server(self._admit, sock=self._socket, limit=_LONGEST_HEAD)
@@ -177,7 +179,7 @@ class Gate:
             self._loop.close()
 
     async def _admit(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection."""
+        """Handle one connection."""
         peer = (writer.get_extra_info("peername") or ("",))[0]
         self._make_room(peer)
         self._waiting[writer] = peer
@@ -203,7 +205,7 @@ class Gate:
         return sum(each == peer for each in connections.values())
 
     def _make_room(self, peer: str) -> None:
-        """End what has been silent for longest, so that whoever says something is heard."""
+        """End the longest-waiting silent connection if there are too many, to admit a new one."""
         silent = list(self._waiting)
         if self._of(peer, self._waiting) >= _MOST_OF_PEER:
             silent = [each for each in silent if self._waiting[each] == peer]
@@ -213,12 +215,12 @@ class Gate:
         silent[0].transport.abort()
 
     def _passed(self, head: bytes) -> tuple[Path, bytes, str]:
-        """To which server a request goes, as what, and by which host it was asked for."""
+        """Return the socket for a request, the rewritten head, and the host of the request."""
         line, *fields = head.rstrip(b"\r\n").split(b"\r\n")
         parts = line.decode("latin-1").split(" ")
         if len(parts) != 3 or parts[0] != "GET":
             raise _RefusedError("403 Forbidden", _TOKEN)
-        # A client of WebSockets leaves the slash at the end out.
+        # A WebSocket client omits the slash at the end.
         token, _, inside = parts[1].removeprefix("/").partition("/")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             raise _RefusedError("403 Forbidden", _TOKEN)
@@ -229,7 +231,7 @@ class Gate:
             path = self._sockets[""]
         else:
             inside = inside.removeprefix(place).removeprefix("/")
-        # A second request on the same connection would come with its token.
+        # A connection carries one request, because the gate removes the token only from the first.
         kept = [
             each
             for each in fields
@@ -241,10 +243,11 @@ class Gate:
         return path, b"\r\n".join([first, *kept, b"", b""]), host
 
     def _host(self, fields: list[bytes]) -> str:
-        """The host and port of a request, which are those of this page.
+        """Return the host and port of a request, after a check that they are those of this page.
 
-        Another page can have its own name lead here, which its requests then have as their host;
-        or it asks from where it is, which browsers say as the origin. An address is no such name.
+        Another page can make its own name resolve to this machine, and its requests then have this
+        name as their host. A request that another page sends directly has that page as its origin.
+        A numeric address cannot be such a name.
         """
         host, origin = (_values(fields, name) for name in ("host", "origin"))
         if len(host) == 1 and (not origin or origin == [f"http://{host[0]}"]):
@@ -263,7 +266,7 @@ class Gate:
 
 
 def _values(fields: list[bytes], name: str) -> list[str]:
-    """What a request says under a name."""
+    """Return the values of a header field of a request."""
     pairs = (each.decode("latin-1").partition(":") for each in fields)
     return [value.strip().lower() for key, _, value in pairs if key.strip().lower() == name]
 
@@ -283,7 +286,7 @@ async def _exchange(
     reader: asyncio.StreamReader,
     writer: asyncio.StreamWriter,
 ) -> None:
-    """A request and its answer, which says what a page may do; or a WebSocket."""
+    """Pass on a request and its answer, with a content security policy, or a WebSocket."""
     answers, asked = await asyncio.open_unix_connection(path, limit=_LONGEST_HEAD)
     try:
         asked.write(inside)
@@ -298,7 +301,7 @@ async def _exchange(
             + rest
         )
         if b" 101 " in line:
-            # Silence is usual here; whether somebody is there the servers ask by themselves.
+            # WebSockets have no idle timeout: the servers detect lost clients by themselves.
             await asyncio.gather(_pipe(reader, asked), _pipe(answers, writer))
         else:
             await _pipe(answers, writer, _IDLE_TIME)
@@ -309,7 +312,7 @@ async def _exchange(
 async def _pipe(
     reader: asyncio.StreamReader, writer: asyncio.StreamWriter, idle: float | None = None
 ) -> None:
-    """Everything that comes, until nothing does, or nothing has moved for a time (s)."""
+    """Copy all data until the end of the stream, or until no data moved for `idle` seconds."""
     try:
         while True:
             async with asyncio.timeout(idle):
@@ -325,7 +328,7 @@ async def _pipe(
 
 
 async def _closed(writer: asyncio.StreamWriter) -> None:
-    """End one side of a connection; what is not taken in time is lost."""
+    """Close one side of a connection; data that are not received in time are lost."""
     with suppress(OSError):
         writer.close()
         async with asyncio.timeout(_HEAD_TIME):
@@ -334,7 +337,7 @@ async def _closed(writer: asyncio.StreamWriter) -> None:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens at a place, which must be one of this machine that is not in use."""
+    """Return a socket that listens at an unused host and port of this machine."""
     if not host:
         raise InputError(
             "the host is '', which is not an address: give an address such as 127.0.0.1"
@@ -346,7 +349,7 @@ def bound(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     found = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # Otherwise the port of a page that was closed is in use for a minute.
+        # Otherwise the port of a closed page stays in use for a minute.
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind((host, port))
         found.listen()

@@ -1,4 +1,4 @@
-"""The page of a live viewer, its clock, one live scene, and a recording as one file."""
+"""Live viewer page with its playback clock, live scene of one arm, and recordings as one file."""
 
 import dataclasses
 import threading
@@ -21,12 +21,14 @@ SPEEDS = ("1/4", "1/2", "1", "2", "4", "8", "16")
 
 @dataclasses.dataclass
 class Player:
-    """A time that runs while it is played, by a factor of real time.
+    """Playback clock, which runs at a multiple of real time.
 
     Attributes:
-        first, last: times between which it runs, s.
-        time: that is shown, s.
-        again: whether it starts again at its end.
+        first, last: first and last time of the playback, s.
+        time: time that is shown, s.
+        playing: whether the clock runs.
+        speed: playback speed, as a multiple of real time.
+        again: whether the playback restarts after its end.
     """
 
     first: float
@@ -40,7 +42,7 @@ class Player:
         self.time = self.first
 
     def tick(self, elapsed: float) -> bool:
-        """Let real time pass (s); whether another time is shown than before."""
+        """Advance the clock by an elapsed real time, s; return whether the shown time changed."""
         if not self.playing or self.last <= self.first:
             return False
         before = self.time
@@ -49,13 +51,13 @@ class Player:
             if self.again and before >= self.last:
                 self.time = self.first
             else:
-                # The end is shown for one tick at least.
+                # Show the end for at least one tick.
                 self.time = self.last
                 self.playing = self.again
         return self.time != before
 
     def play(self) -> None:
-        """Run; from the beginning where the end is shown."""
+        """Start the clock, from the first time if it is at its end."""
         self.playing = True
         if self.time >= self.last:
             self.time = self.first
@@ -66,25 +68,25 @@ class Player:
 
 
 def factor(speed: str) -> float:
-    """The number of one of `SPEEDS`."""
+    """Return one of `SPEEDS` as a number."""
     above, _, below = speed.partition("/")
     return float(above) / float(below or 1)
 
 
-_RATE = 30.0  # poses a second at most: smooth, and no more than two cores can draw
-_LARGEST = 60.0  # of an arm without a motion: as far as a joint of the paper's goes
+_RATE = 30.0  # largest number of poses per second: smooth, and within the capacity of two cores
+_LARGEST = 60.0  # largest angle of a slider, deg: the range of a joint of the paper's arm
 
 
 class Viewer:
-    """A page on which shows are played, behind an address with a token; whoever has it, sees it.
+    """Page that plays shows. Anyone who has its address, which contains a token, can view it.
 
-    `address` is where a browser finds it, `is_open` whether other machines can reach it.
+    `address` is the address for a browser. `is_open` says whether other machines can reach it.
 
     Arguments:
         shown: motions on one clock, or one arm without a motion.
-        overlay: all in one place instead of side by side.
-        host: where to listen; "127.0.0.1": for browsers of this machine alone.
-        port: where to listen; 0 for a free one.
+        overlay: show all of them in one place instead of side by side.
+        host: host to listen at; "127.0.0.1" accepts only browsers on this machine.
+        port: port to listen at; 0 chooses a free one.
 
     Raises:
         InputError: viser is not installed, or the port is in use.
@@ -106,7 +108,7 @@ class Viewer:
         ]
         self.player = Player(*span(self.shows))
         self._backend = Backend()
-        # Of viser, for whoever adds something to the page, too.
+        # The viser server is public, so that users can add to the page.
         self.server = self._backend.server
         try:
             self._gate = Gate({"": self._backend.socket}, host=host, port=port)
@@ -123,21 +125,21 @@ class Viewer:
         self._thread.start()
 
     def close(self) -> None:
-        """End the page."""
+        """Close the page."""
         self._ended.set()
         self._thread.join(timeout=5)
         self._gate.close()
         self._backend.close()
 
     def draw(self) -> None:
-        """Show the time of the player."""
+        """Draw the shows at the time of the player."""
         with self._lock, self.server.atomic():
             for stage in self.stages:
                 stage.draw(stage.show.sample_at(self.player.time))
             self._say()
 
     def pose(self, angles: Any) -> None:
-        """Set the joints of an arm without a motion, rad, shape (joint,)."""
+        """Set the joint angles of an arm without a motion, rad, shape (joint,)."""
         assert self._posable is not None
         with self._lock, self.server.atomic():
             stage = self.stages[0]
@@ -146,7 +148,7 @@ class Viewer:
             self._say()
 
     def _run(self) -> None:
-        """Play, until the page ends."""
+        """Run the playback until the page is closed."""
         before = time.monotonic()
         while not self._ended.wait(1 / _RATE):
             now = time.monotonic()
@@ -177,7 +179,7 @@ class Viewer:
         self.draw()
 
     def _clock(self) -> None:
-        """Time bar, play, speed."""
+        """Add the time bar, the play button, and the choices of speed and repetition."""
         gui, player = self.server.gui, self.player
         with gui.add_folder("Time"):
             step = max((player.last - player.first) / 2000, 1e-3)
@@ -190,7 +192,7 @@ class Viewer:
 
         @bar.on_update
         def _(event: Any) -> None:
-            # What the player itself moves comes without a client.
+            # An update by the player itself has no client.
             if event.client is not None:
                 player.playing = False
                 player.seek(bar.value)
@@ -217,7 +219,7 @@ class Viewer:
         self._play.label = "pause" if self.player.playing else "play"
 
     def _joints(self) -> None:
-        """A slider for each joint, in degrees."""
+        """Add a slider for each joint, in degrees."""
         assert self._posable is not None
         gui, count = self.server.gui, self._posable.arm.count
         sliders: list[Any] = []
@@ -250,17 +252,17 @@ class Viewer:
             stage.place(place)
 
     def _say(self) -> None:
-        """What is seen, in words."""
+        """Update the text that describes the current samples."""
         self._words.content = "\n\n".join(
             stage.words(stage.show.sample_at(self.player.time)) for stage in self.stages
         )
 
 
 class LiveStage:
-    """A page of viser with an arm that is moved from elsewhere; the scene is of one sample.
+    """Viser page of an arm that the caller moves; each scene has one sample.
 
     Attributes:
-        bounds: least and greatest coordinates of where the arm has been, m.
+        bounds: least and greatest coordinates of all scenes shown so far, m.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -275,11 +277,11 @@ class LiveStage:
 
     @property
     def watched(self) -> bool:
-        """Whether a browser shows it."""
+        """Whether a browser shows the page."""
         return bool(self._server.get_clients())
 
     def draw(self, scene: Scene) -> None:
-        """Show another scene of the same parts."""
+        """Draw another scene with the same parts."""
         with self._server.atomic():
             self._stage.show = Show("arm", scene)
             self._stage.draw(0)
@@ -287,21 +289,21 @@ class LiveStage:
         self.bounds = np.stack([np.minimum(self.bounds[0], low), np.maximum(self.bounds[1], high)])
 
     def close(self) -> None:
-        """End the page."""
+        """Close the page."""
         self._backend.close()
 
 
 RATE = 30.0
 """Largest number of frames per second of the motion."""
 
-MOST_FRAMES = 1500  # in a file: twenty links in this many are about 2 MB
+MOST_FRAMES = 1500  # largest number of frames in a file: about 2 MB for an arm of twenty links
 
 
 def recording(shows: Sequence[Show], *, overlay: bool = False, dark: bool = False) -> bytes:
-    """A page for a browser in which shows are played, with a time bar and a choice of speeds.
+    """Return a page that plays shows in a browser, with a time bar and a choice of speeds.
 
-    It is HTML in UTF-8, and needs nothing else. The shows, at least one, are on one clock, side by
-    side or, as an overlay, all in one place; the dark page is light on dark.
+    The page is self-contained HTML in UTF-8. The shows (at least one) share one clock. They are
+    side by side, or all in one place as an overlay. A dark page is light on dark.
     """
     backend = Backend()
     server = backend.server

@@ -1,4 +1,4 @@
-"""What is shown: a scene with its recorded markers, and several of them on one clock."""
+"""Scenes with their recorded markers (shows), several of which can share one clock."""
 
 import dataclasses
 import re
@@ -31,11 +31,11 @@ from ..tracking import BAND, TRACK_FILES, end_columns
 
 
 class Bands(NamedTuple):
-    """Where the ends of the links are in 95 of 100 cases, along each axis.
+    """95 % bands of the positions of the link ends along each axis.
 
     Attributes:
-        centres: of the bands, m, shape (sample, link, 3); the last one is the tip's.
-        halves: half widths along x, y and z, m, likewise.
+        centres: centres of the bands, m, shape (sample, link, 3); the last link ends at the tip.
+        halves: half widths along x, y and z, m, shape (sample, link, 3).
     """
 
     centres: Float[np.ndarray, "sample link 3"]
@@ -44,14 +44,15 @@ class Bands(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Show:
-    """A scene, and what a camera saw of it.
+    """Scene with its recorded markers.
 
     Attributes:
-        name: what a legend says.
+        name: name in the legend.
+        scene: scene to show.
         recorded: recorded points by the names of the scene's markers, m, shape (sample, 3).
-        notes: what is not shown, and why.
-        bands: of its links, where the scene is an estimate.
-        captions: names of what begins at times, s, in their order.
+        notes: notes on what is not shown, with the reason.
+        bands: 95 % bands of the link ends if the scene is an estimate.
+        captions: start times, s, and names of the phases of the motion, in order of time.
     """
 
     name: str
@@ -76,24 +77,24 @@ class Show:
 
     @property
     def clock(self) -> Float[np.ndarray, " sample"]:
-        """Times of the samples, s; where they are not in time, ten of them are a second."""
+        """Times of the samples, s; a scene without times is shown at ten samples per second."""
         if self.scene.times is None:
             return np.arange(self.samples) / 10
         return self.scene.times
 
     def sample_at(self, time: float) -> int:
-        """The last sample that is not after a time (s); the first one before all."""
-        # Half a nanosecond: times that were added up are samples still.
+        """Return the last sample at or before a time, s, or the first sample if there is none."""
+        # The tolerance of half a nanosecond covers the rounding errors of accumulated times.
         after = int(np.searchsorted(self.clock, time + 5e-10, side="right"))
         return max(after - 1, 0)
 
     def caption_at(self, sample: int) -> str:
-        """What goes on at a sample; empty where nothing has a name."""
+        """Return the caption of the phase at a sample, or an empty string."""
         time = self.clock[sample] + 5e-10
         return next((name for begin, name in reversed(self.captions) if begin <= time), "")
 
     def marker_error(self, sample: int) -> float | None:
-        """Root mean square distance of recorded from shown markers at a sample, m."""
+        """Return the RMS distance between recorded and shown markers at a sample, m."""
         off = [
             self.recorded[name][sample] - self.scene.markers[name][sample] for name in self.recorded
         ]
@@ -102,12 +103,12 @@ class Show:
 
 
 def span(shows: Sequence[Show]) -> tuple[float, float]:
-    """First and last time of several shows, s."""
+    """Return the first and last time of several shows, s."""
     return min(float(show.clock[0]) for show in shows), max(float(show.clock[-1]) for show in shows)
 
 
 def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, " frame"]:
-    """Times at which to draw, s: every sample, but at most a rate (Hz) and a number of frames."""
+    """Return the times to draw at, s: every sample up to a rate, Hz, and a number of frames."""
     first, last = span(shows)
     finest = min(float(np.min(np.diff(show.clock), initial=np.inf)) for show in shows)
     count = int(np.ceil((last - first) / max(finest, 1 / rate) - 1e-9)) + 1 if last > first else 1
@@ -115,7 +116,7 @@ def frames(shows: Sequence[Show], rate: float, most: int) -> Float[np.ndarray, "
 
 
 class Posable:
-    """An arm whose joints are set by hand: no motion, only where links are."""
+    """Arm without a motion, whose joint angles the user sets."""
 
     def __init__(self, model: ArmModel, name: str) -> None:
         self.model = model
@@ -127,7 +128,7 @@ class Posable:
         return self.model.arm
 
     def show(self, angles: Float[np.ndarray, " joint"]) -> Show:
-        """The arm at angles of its joints, rad."""
+        """Return a show of the arm at given joint angles, rad."""
         pose = at_rest(self.arm, jnp.asarray(angles, dtype=jnp.result_type(float)))
         return Show(self.name, arm_scene(pose, self.model.sensors.marker))
 
@@ -140,18 +141,18 @@ def shown(
     run: str | None = None,
     name: str | None = None,
 ) -> Show | Posable:
-    """What there is to see of a file: a motion with recorded markers, or an arm without a motion.
+    """Return the show of a file: a motion with recorded markers, or an arm without a motion.
 
     Arguments:
         path: a recorded or simulated run (`RUN.csv`), the folder of a fit or its `result.json`, the
-            folder of a track, or a TOML file that states an arm.
-        data: the runs of a fit, where they lie elsewhere now.
-        rename: a run's column name -> the name it has in the column table.
-        run: name of the run of a fit; the first one by default.
-        name: what a legend says; of the file by default.
+            folder of a track, or a TOML file that describes an arm.
+        data: run files of a fit, if they have been moved since the fit.
+        rename: column names of a run -> their names in the column table.
+        run: name of the run of a fit; defaults to the first run.
+        name: name in the legend; defaults to the name of the file.
 
     Raises:
-        InputError: there is no such file or run, or nothing is seen of its model.
+        InputError: the file or the run does not exist, or its model has no scene.
     """
     path = Path(path)
     if (path / TRACK_FILES.facts).exists():
@@ -171,10 +172,10 @@ def shown(
 
 
 def posed(run: Run, name: str) -> Show:
-    """An arm along the recorded angles of all its joints, of which nothing is simulated.
+    """Return the show of an arm at the recorded angles of all its joints, without a simulation.
 
     Raises:
-        InputError: it is of no arm, or an angle is not there.
+        InputError: the run is not a run of an arm, or an angle is missing.
     """
     model = arm_model_of(model_for([run]))
     columns = [f"joint{joint:02d}_angle" for joint in range(1, model.arm.count + 1)]
@@ -184,7 +185,7 @@ def posed(run: Run, name: str) -> Show:
             f"'{run.name}' has no {missing[0]}: give the angles of all {model.arm.count} joints"
         )
     times = run.times
-    assert times is not None  # a run of an arm has some
+    assert times is not None  # the run of an arm has times
     angles = np.stack([np.asarray(run.values[column]) for column in columns], axis=1)
     if not np.all(np.isfinite(angles)):
         row = int(np.argmin(np.all(np.isfinite(angles), axis=1)))
@@ -198,7 +199,7 @@ def posed(run: Run, name: str) -> Show:
 
 
 def _tracked(folder: Path, name: str) -> Show:
-    """Where a track has found an arm to be, with bands of 95 %."""
+    """Return the show of the motion that a track estimated, with 95 % bands."""
     show = posed(read_run(folder / TRACK_FILES.estimate), name)
     path = folder / TRACK_FILES.bands
     table = read_numbers(path)
@@ -239,7 +240,7 @@ def _chosen(runs: list[Run], name: str | None, path: Path) -> Run:
 
 
 def _followed(model: AbstractModel, run: Run, name: str) -> Show:
-    """A model along a run, and what was recorded of it."""
+    """Return the show of a model that is simulated along a run, with the recorded markers."""
     try:
         scene = capabilities.scene(model, run)
     except SimulationError as error:
@@ -255,7 +256,7 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
             f"the motion of '{run.name}' is not finite: check the parameters of the model"
         )
     unknown = (
-        "recorded markers are not shown, because the axes of their camera differ from the model's",
+        "recorded markers are not shown, because their camera has other axes than the model",
     )
     return Show(name, scene, recorded or {}, unknown if recorded is None else ())
 
@@ -268,8 +269,8 @@ _FORCES = {"air": "largest drag on a link", "contact": "largest contact force"}
 
 
 def words(show: Show, sample: int, colour: str) -> str:
-    """What a show, whose bodies have a colour, has at a sample, as Markdown."""
-    # Whoever named the file may have written Markdown or HTML, which the page would show as such.
+    """Return a description of a sample of a show as Markdown; the colour names its bodies."""
+    # Escape the name: Markdown or HTML in a file name would be rendered by the page.
     name = re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(show.name.split()))
     said = [f"**{name}** ({colour})"]
     if caption := show.caption_at(sample):
@@ -280,7 +281,8 @@ def words(show: Show, sample: int, colour: str) -> str:
         said.append("tip at " + ", ".join(f"{part:.3f}" for part in tip[sample]) + " m")
     if show.bands is not None:
         size = float(np.linalg.norm(show.bands.halves[sample, -1]))
-        # Of a band along each axis: as likely as that where one is long, and likelier elsewhere.
+        # The diagonal of the band: the probability is that of a band if one axis dominates, and
+        # larger otherwise.
         said.append(f"tip within {_length(size)} of the estimate (probability at least 95 %)")
     if (off := show.marker_error(sample)) is not None:
         said.append(f"RMS distance to the recorded markers {_length(off)}")

@@ -1,4 +1,4 @@
-"""Scenes in viser: what is drawn once, and what moves."""
+"""Drawing of scenes in viser: static surroundings and moving parts."""
 
 import contextlib
 import io
@@ -18,13 +18,13 @@ from ._show import Show, words
 if TYPE_CHECKING:
     from viser import SceneApi, ViserServer
 
-# The server of viser: behind the gate, quiet, and only where the extra is installed.
+# The viser server runs behind the gate, prints nothing, and requires the extra `view`.
 
-_STARTING = threading.Lock()  # what is exchanged while a server starts belongs to the whole process
+_STARTING = threading.Lock()  # the start of a server replaces a function of the whole process
 
 
 def check_viser() -> None:
-    """Refuse to go on where viser is not installed."""
+    """Raise an `InputError` if viser is not installed."""
     try:
         import viser  # noqa: F401
     except ImportError:
@@ -34,18 +34,18 @@ def check_viser() -> None:
 
 
 class Backend:
-    """A server for one page, on a Unix socket that only this account can reach."""
+    """Server of one page, on a Unix socket that only this account can reach."""
 
     def __init__(self) -> None:
         check_viser()
         import viser
 
-        # What is served instead of the page of viser, once it is known.
+        # The page to serve instead of the viser page, as soon as it is set.
         self.page: Callable[[], bytes] | None = None
         self._place = PrivateSocket()
         self.socket = self._place.path
         try:
-            # It would print its own address, which is not the one of the page.
+            # Viser would print its own address, which is not the address of the page.
             with (
                 contextlib.redirect_stdout(io.StringIO()),
                 _listening_at(self.socket, lambda: self.page and self.page()),
@@ -65,7 +65,7 @@ class Backend:
         self.server.scene.set_up_direction("+z")
 
     def close(self) -> None:
-        """End it; without its last word."""
+        """Stop the server; suppress the message that viser prints."""
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
         self._place.close()
@@ -73,10 +73,11 @@ class Backend:
 
 @contextlib.contextmanager
 def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None]:
-    """Have viser listen at a path, and serve a page in place of its own where there is one.
+    """Make viser listen at a path, and serve the given page, if any, in place of its own.
 
-    It offers a host and a port alone, and authenticates no connection. So the function
-    that it listens by is exchanged while it starts; that this took place is checked afterwards.
+    Viser accepts only a host and a port, and does not authenticate connections. Its function that
+    opens the port is therefore replaced while the server starts. The caller checks afterwards that
+    the replacement took effect.
     """
     from websockets.asyncio import server
 
@@ -88,7 +89,7 @@ def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None
 
             def answer(connection: Any, request: Any) -> Any:
                 answered = files(connection, request)
-                # A request without an answer becomes a WebSocket.
+                # A request without an answer is upgraded to a WebSocket.
                 if answered is None or request.path.partition("?")[0] != "/":
                     return answered
                 if (own := page()) is None:
@@ -110,7 +111,7 @@ def _listening_at(path: Path, page: Callable[[], bytes | None]) -> Iterator[None
             server.serve = usual  # type: ignore[misc]
 
 
-# What is drawn in which colour: of a palette that the colour-blind tell apart.
+# Colours of the parts, from a palette for readers with colour vision deficiency.
 
 Colour = tuple[int, int, int]
 
@@ -125,21 +126,22 @@ BODIES: dict[str, Colour] = {
     "green": (110, 165, 95),
     "purple": (165, 110, 175),
 }
-"""Colours of the balloons, one for each show in turn."""
+"""Colours of the balloons; each show takes the next one."""
 
-# From an empty muscle to the highest pressure: blue, white, red would vanish on the page.
+# Colours of an empty muscle and of the highest pressure. A scale from blue over white to red would
+# be invisible on the page in its middle.
 EMPTY: Colour = (70, 90, 160)
 FULL: Colour = (215, 48, 39)
 
 
 def marker_colour(body: Colour) -> Colour:
-    """Of the markers of a model in bodies of a colour: darker, or they would not be seen."""
+    """Return the colour of simulated markers: darker than their bodies, to remain visible."""
     red, green, blue = (int(0.45 * part) for part in body)
     return red, green, blue
 
 
 def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray, "piece 3"]:
-    """The colour of each piece of each thread: by its pressure over the highest, Pa."""
+    """Return the colour of each piece of each thread by its pressure relative to `highest`, Pa."""
     colours = []
     for line in scene.lines:
         if np.any(line.radii > 0):
@@ -153,28 +155,33 @@ def thread_colours(scene: Scene, sample: int, highest: float) -> Int[np.ndarray,
 
 
 _ROUND = 24
+_SEAMS, _SEAM = 6, 0.94  # number of seams along a balloon, and their distance from its axis, radii
 
 
 class Mesh(NamedTuple):
-    """Vertices, and faces as indices of them, counterclockwise from outside."""
+    """Vertices, and faces as vertex indices, counterclockwise as seen from outside."""
 
     vertices: Float[np.ndarray, "vertex 3"]
     faces: Int[np.ndarray, "face 3"]
 
 
 def tube() -> Mesh:
-    """A cylinder about the x axis from -1/2 to 1/2, of radius 1, with ends that are drawn in."""
-    return _turned([(-0.5, 0.0), (-0.5, 0.7), (-0.47, 1.0), (0.47, 1.0), (0.5, 0.7), (0.5, 0.0)])
+    """Return a balloon about the x axis, from -1/2 to 1/2, with radius 1.
+
+    The radius is smaller at the ends and at the seams between the strips of film.
+    """
+    outline = [(-0.5, 0.0), (-0.5, 0.7), (-0.47, 1.0), (0.47, 1.0), (0.5, 0.7), (0.5, 0.0)]
+    return _turned(outline, np.where(np.arange(_ROUND) % (_ROUND // _SEAMS), 1.0, _SEAM))
 
 
 def ball() -> Mesh:
-    """A sphere of radius 1."""
+    """Return a sphere of radius 1."""
     places = np.linspace(-np.pi / 2, np.pi / 2, _ROUND // 2)
     return _turned([(float(np.sin(place)), float(np.cos(place))) for place in places])
 
 
 def brick() -> Mesh:
-    """A box from -1/2 to 1/2 along each axis, with corners of its own for each face."""
+    """Return a box from -1/2 to 1/2 along each axis, with four separate vertices per face."""
     corners: list[np.ndarray] = []
     faces: list[tuple[int, int, int]] = []
     for axis in range(3):
@@ -189,13 +196,20 @@ def brick() -> Mesh:
     return Mesh(np.array(corners), np.array(faces))
 
 
-def _turned(outline: list[tuple[float, float]]) -> Mesh:
-    """A body of revolution about x from pairs of x and radius."""
+def brick_edges() -> Int[np.ndarray, "edge 2"]:
+    """Return the vertex indices of the edges of a brick; each edge occurs once per face."""
+    first = 4 * np.arange(6)[:, None]
+    return np.concatenate([first + np.array([k, (k + 1) % 4]) for k in range(4)])
+
+
+def _turned(outline: list[tuple[float, float]], around: Any = 1.0) -> Mesh:
+    """Return a body of revolution about x from pairs of x and radius.
+
+    `around` is a factor of the radius for each angle around the axis.
+    """
     turns = 2 * np.pi * np.arange(_ROUND) / _ROUND
-    rings = [
-        np.stack([np.full(_ROUND, x), radius * np.cos(turns), radius * np.sin(turns)], axis=1)
-        for x, radius in outline
-    ]
+    across = np.stack([np.cos(turns), np.sin(turns)], axis=1) * np.reshape(around, (-1, 1))
+    rings = [np.insert(radius * across, 0, x, axis=1) for x, radius in outline]
     here = np.arange(_ROUND)
     after = np.roll(here, -1)
     faces = []
@@ -207,33 +221,34 @@ def _turned(outline: list[tuple[float, float]]) -> Mesh:
 
 
 def turns_to(directions: Float[np.ndarray, "row 3"]) -> Float[np.ndarray, "row 4"]:
-    """Unit quaternions (w, x, y, z) of the shortest turns from the x axis to directions.
+    """Return unit quaternions (w, x, y, z) of the shortest rotations from the x axis to directions.
 
-    Directions have any length; where it is 0 nothing is turned.
+    Directions can have any length. A direction of length 0 gives the identity.
     """
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
     ahead = np.where(lengths > 0, directions / np.where(lengths > 0, lengths, 1), [1.0, 0.0, 0.0])
     x, y, z = ahead.T
     turns = np.stack([1 + x, np.zeros_like(x), -z, y], axis=1)
-    # Straight back every turn by half a circle is as short.
+    # The rotation to -x is not unique: rotate half a turn about z.
     turns[np.linalg.norm(turns, axis=1) < 1e-8] = [0.0, 0.0, 0.0, 1.0]
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     return turns
 
 
-# Of a box without an end so much is drawn beyond the scene, and below its surface, in extents.
+# Drawn part of an endless box beyond the scene, and its drawn thickness below the scene, in extents
+# of the scene.
 _GROUND, _PLATE = 0.6, 0.02
 
-_ENDLESS = 5.0  # in extents: what is larger has no end that anybody sees
+_ENDLESS = 5.0  # size in extents of the scene above which a box counts as endless
 
 
 class Scale(NamedTuple):
-    """Sizes that all shows of a stage have in common.
+    """Scales that all shows of a page have in common.
 
     Attributes:
-        extent: of everything, m.
-        force: that the longest arrow stands for, N.
-        pressure: of the brightest muscle, Pa.
+        extent: largest extent of the moving parts, m.
+        force: force that the longest arrow represents, N.
+        pressure: pressure at the end of the colour scale of the muscles, Pa.
     """
 
     extent: float
@@ -242,7 +257,7 @@ class Scale(NamedTuple):
 
 
 def scale_of(shows: Sequence[Show]) -> Scale:
-    """The sizes of what belongs to some shows."""
+    """Return the common scales of some shows."""
     low, high = bounds(shows)
     arrows = [arrows for show in shows for arrows in show.scene.arrows]
     force = max((_largest(np.linalg.norm(each.vectors, axis=-1)) for each in arrows), default=0.0)
@@ -256,20 +271,24 @@ def _largest(values: Any) -> float:
 
 
 def bounds(shows: Sequence[Show]) -> Float[np.ndarray, "2 3"]:
-    """Least and greatest coordinates of what moves in some shows, m."""
+    """Return the least and greatest coordinates of the moving parts of some shows, m."""
     extents = np.stack([show.scene.extent() for show in shows])
     return np.stack([extents[:, 0].min(axis=0), extents[:, 1].max(axis=0)])
 
 
 def cut(centre: Any, size: Any, axes: Any, low: Any, high: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Of a box that is far larger than a scene, centre and size of the part about it, m.
+    """Return the centre and size of the part of a box that is near a scene, m.
 
-    The box is as a `Block` has it; the scene has its least and greatest coordinates, m.
+    An axis is cut only if the box is far larger than the scene along it.
+
+    Arguments:
+        centre, size, axes: attributes of the box, as in `Block`.
+        low, high: least and greatest coordinates of the scene, m.
     """
     extent = float(np.max(high - low))
     middle = axes.T @ ((low + high) / 2 - centre)
     reach = np.abs(axes.T) @ ((high - low) / 2)
-    # Of ground that the scene is above, a thin plate will do.
+    # A thin plate suffices for ground below the scene.
     above = np.abs(middle) > size / 2
     room = np.where(above, _PLATE, _GROUND) * extent
     near = np.where(above, np.sign(middle) * size / 2, middle - reach)
@@ -281,7 +300,7 @@ def cut(centre: Any, size: Any, axes: Any, low: Any, high: Any) -> tuple[np.ndar
 
 
 def ends(block: Block, extent: float) -> Float[np.ndarray, "2 3"] | None:
-    """Least and greatest coordinates of a box, m; None of one without an end."""
+    """Return the least and greatest coordinates of a box, m, or None if it is endless."""
     if np.any(block.size > _ENDLESS * extent):
         return None
     reach = np.abs(block.axes) @ block.size / 2
@@ -289,7 +308,7 @@ def ends(block: Block, extent: float) -> Float[np.ndarray, "2 3"] | None:
 
 
 def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ...]:
-    """Starts, ends and radii of the pieces of bodies, or of threads."""
+    """Return the starts, ends and radii of the pieces of bodies, or of threads."""
     none = np.zeros((0, 3), np.float32)
     pieces = [(none, none, none[:, 0])]
     for line in scene.lines:
@@ -302,7 +321,7 @@ def segments(scene: Scene, sample: int, *, bodies: bool) -> tuple[np.ndarray, ..
 
 
 def joints(scene: Scene, sample: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the links of an arm begin, and their radii."""
+    """Return the positions of the joints of an arm, m, and the radii of its links there, m."""
     links = [line for line in scene.lines if line.name == "link"]
     points = np.array([line.points[sample, 0] for line in links]).reshape(-1, 3)
     return points, np.array([line.radii[0] for line in links])
@@ -318,17 +337,17 @@ LAYERS = {
     "contact": "contact forces",
     "surroundings": "surroundings",
 }
-"""Layers that can be hidden: the folder in the scene of each show, and the label."""
+"""Layers that can be hidden: folder in the scene of each show -> label."""
 
 _BATCHED = ("batched_positions", "batched_wxyzs", "batched_scales", "batched_colors")
 
-_THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15  # of the largest extent
+_THREAD, _DOT, _LONGEST_ARROW = 0.002, 0.004, 0.15  # sizes as fractions of the largest extent
 
 
 class Stage:
-    """One show on a page, with its base at the offset (m).
+    """One show on a page, with its base at an offset, m.
 
-    Its index among the shows of the page, from 0 on, says its colours.
+    The index of the show on the page, from 0, determines its colours.
     """
 
     def __init__(
@@ -351,7 +370,7 @@ class Stage:
         self.draw(0)
 
     def layers(self) -> list[str]:
-        """Names of the layers that have something in them."""
+        """Return the names of the layers that are not empty."""
         scene = self.show.scene
         there = {
             "balloons": any(np.any(line.radii > 0) for line in scene.lines),
@@ -365,21 +384,21 @@ class Stage:
         return [layer for layer in LAYERS if there.get(layer)]
 
     def visible(self, layer: str, shown: bool) -> None:
-        """Show or hide a layer; one that this show does not have is none."""
+        """Show or hide a layer; ignore a layer that this show does not have."""
         if layer in self._layers:
             self._layers[layer].visible = shown
 
     def words(self, sample: int) -> str:
-        """What is seen at a sample, as Markdown."""
+        """Return a description of a sample as Markdown."""
         return words(self.show, sample, self._name)
 
     def place(self, offset: Float[np.ndarray, "3"]) -> None:
-        """Put the base of the show elsewhere, m."""
+        """Move the base of the show to an offset, m."""
         self.offset = offset
         self._base.position = offset
 
     def draw(self, sample: int) -> None:
-        """Everything that moves, at a sample."""
+        """Draw all moving parts at a sample."""
         scene = self.show.scene
         bodies = segments(scene, sample, bodies=True)
         self._tubes("balloons/links", bodies, self.colour, opacity=0.55)
@@ -391,7 +410,7 @@ class Stage:
         self._points("markers/points", scene.markers, sample, marker_colour(self.colour))
         self._points("recorded/points", self.show.recorded, sample, RECORDED, larger=1.5)
         if (bands := self.show.bands) is not None:
-            # About the balloon and not about its axis: most bands would be hidden in it.
+            # Add the radius of the balloon: most bands would otherwise be hidden inside it.
             at = bands.centres[sample], bands.halves[sample] + radii[:, None]
             self._balls("bands/ellipsoids", *at, self.colour, opacity=0.25)
         if caption := self.show.caption_at(sample):
@@ -402,7 +421,7 @@ class Stage:
                 self._arrows(arrows.name, arrows.origins[sample], arrows.vectors[sample], colour)
 
     def _caption(self, text: str) -> None:
-        """Words above the scene."""
+        """Show a caption above the scene."""
         known = self._handles.get("caption")
         if known is None:
             place = self.show.scene.extent()[1] * [0.0, 0.0, 1.05]
@@ -423,7 +442,7 @@ class Stage:
     def _balls(
         self, name: str, centres: Any, halves: Any, colour: Any, opacity: float | None = None
     ) -> None:
-        """Ellipsoids by their half axes along x, y and z, or balls by their radii, m."""
+        """Draw ellipsoids with half axes along x, y and z, or balls with radii, m."""
         if len(centres):
             turns = np.tile([1.0, 0.0, 0.0, 0.0], (len(centres), 1))
             sizes = np.array(np.broadcast_to(halves, centres.shape))
@@ -436,34 +455,34 @@ class Stage:
             return
         points = np.stack([each[sample] for each in markers.values()])
         there = np.all(np.isfinite(points), axis=1)
-        # One that is missing is made so small that it is not seen: batches keep their size.
+        # A missing marker is drawn so small that it is invisible, because batches keep their size.
         radii = np.where(there, larger * _DOT * self.scale.extent, 1e-9)
         self._balls(name, np.where(there[:, None], points, 0.0), radii[:, None], colour)
 
     def _batch(
         self, name: str, mesh: Mesh, placed: Any, colour: Any, opacity: float | None = None
     ) -> None:
-        """Copies of a mesh, placed by their positions, turns and scales."""
+        """Draw copies of a mesh at given positions, rotations and scales."""
         arrays = (*placed, np.array(colour, dtype=np.uint8))
         moved = dict(zip(_BATCHED, arrays, strict=True))
         known = self._handles.get(name)
         if known is None:
             handle = self._api.add_batched_meshes_simple(
-                f"{self._root}/{name}", *mesh, lod="off", cast_shadow=False, receive_shadow=False,
-                opacity=opacity, **moved,
+                f"{self._root}/{name}", *mesh, lod="off", cast_shadow=name.startswith("balloons"),
+                receive_shadow=False, opacity=opacity, **moved,
             )  # fmt: skip
             self._handles[name] = (handle, moved)
             return
         handle, before = known
         for key, value in moved.items():
-            # What did not change need not travel.
+            # Send only the values that changed.
             if not np.array_equal(before[key], value):
                 setattr(handle, key, value)
                 before[key] = value
 
     def _arrows(self, name: str, origins: Any, vectors: Any, colour: Colour) -> None:
         longest = _LONGEST_ARROW * self.scale.extent / (self.scale.force or 1.0)
-        # One that is shorter than its head is no arrow.
+        # Omit arrows that would be shorter than their heads.
         seen = np.linalg.norm(longest * vectors, axis=-1) > 2 * _THREAD * self.scale.extent
         points = np.stack([origins, origins + longest * vectors], axis=1)[seen]
         known = self._handles.get(name)
@@ -485,14 +504,21 @@ class Stage:
         for number, block in enumerate(self.show.scene.blocks):
             centre, size = cut(block.centre, block.size, block.axes, low, high)
             vertices = brick().vertices * size @ block.axes.T + centre
+            name = f"{self._root}/surroundings/{number + 1} {block.name.replace('/', '_')}"
             self._api.add_mesh_simple(
-                f"{self._root}/surroundings/{number + 1} {block.name.replace('/', '_')}",
-                vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
-                cast_shadow=False, receive_shadow=False,
+                name, vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
+                cast_shadow=False, receive_shadow=True,
             )  # fmt: skip
+            if ends(block, self.scale.extent) is not None:
+                # Edges show the depth of walls, which all have one colour. Ground has no edges.
+                self._api.add_line_segments(
+                    f"{name}/edges", vertices[brick_edges()], INK,
+                    thickness=_THREAD * self.scale.extent,
+                )  # fmt: skip
 
 
-# Between two shows, in extents of the widest; and how far off one looks from at first.
+# Gap between two shows, in extents of the largest one, and initial distance of the camera, in sizes
+# of the scene.
 _GAP, _DISTANCE = 0.25, 1.0
 
 VIEWED_FROM = np.array([0.25, -1.0, 0.3])
@@ -502,19 +528,19 @@ _FIELD = 0.75  # vertical angle of view, rad
 
 
 def offsets(shows: Sequence[Show], *, overlay: bool) -> Float[np.ndarray, "show 3"]:
-    """Where the base of each show stands, m: beside the last one, or all in one place."""
+    """Return the base position of each show, m: side by side, or all in one place."""
     places = np.zeros((len(shows), 3))
     if overlay:
         return places
     low, high = bounds(shows)
-    # Across the arm, to the right, as one reads.
+    # Place the shows from left to right, across the arm.
     width = float(high[1] - low[1]) + _GAP * float(np.max(high - low))
     places[:, 1] = -width * np.arange(len(shows))
     return places
 
 
 def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = False) -> list[Stage]:
-    """Draw shows side by side, or all in one place, over a grid, and look at them from the side."""
+    """Draw shows side by side, or all in one place, above a grid, and set the initial camera."""
     scale = scale_of(shows)
     places = offsets(shows, overlay=overlay)
     drawn = [
@@ -524,7 +550,8 @@ def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = Fals
     low, high = bounds(shows)
     low, high = low + places.min(axis=0), high + places.max(axis=0)
     _grid(server, low, high)
-    # About what moves, and what stands around and has an end, until the page fits its own window.
+    # The camera initially shows the moving parts and the finite surroundings. The page later fits
+    # the view to its window.
     extent = float(np.max(high - low))
     blocks = [ends(block, extent) for show in shows for block in show.scene.blocks]
     corners = np.concatenate([[low, high], *(each for each in blocks if each is not None)])
@@ -540,12 +567,12 @@ def stages(server: "ViserServer", shows: Sequence[Show], *, overlay: bool = Fals
 
 
 def grid_step(extent: float) -> float:
-    """Between two lines of the floor below a scene of an extent, m."""
+    """Return the distance between grid lines below a scene with a given extent, m."""
     return 1.0 if extent > 3 else 0.1
 
 
 def _grid(server: "ViserServer", low: np.ndarray, high: np.ndarray) -> None:
-    """A floor of metres below everything that moves."""
+    """Add a grid floor below all moving parts."""
     size, middle = high - low, (low + high) / 2
     step = grid_step(float(np.max(size)))
     across = np.ceil((size[:2] + 2 * step) / step / 2) * 2 * step

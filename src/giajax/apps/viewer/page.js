@@ -83,6 +83,27 @@ element("button", { type: "button", textContent: "show the whole arm", onclick: 
   fit();
 } }, aside);
 
+// ---- a video of the scene, from one click to the next
+const type = ["video/mp4", "video/webm"].find((each) => window.MediaRecorder?.isTypeSupported(each));
+if (type) {
+  let recorder = null;
+  const button = element("button", { type: "button", textContent: "record a video", onclick: () => {
+    if (recorder) { recorder.stop(); return; }
+    recorder = new MediaRecorder(window.__viserMutable.canvas.captureStream(30), { mimeType: type, videoBitsPerSecond: 8e6 });
+    const parts = [];
+    recorder.ondataavailable = (event) => parts.push(event.data);
+    recorder.onstop = () => {
+      const href = URL.createObjectURL(new Blob(parts, { type })), extension = type.split("/")[1];
+      element("a", { href, download: `${about.title.replace(/[^\w.-]+/g, "_")}.${extension}` }).click();
+      setTimeout(() => URL.revokeObjectURL(href), 60e3);
+      recorder = null;
+      button.textContent = "record a video";
+    };
+    recorder.start();
+    button.textContent = "stop and save the video";
+  } }, aside);
+}
+
 // ---- the plot: recorded values as dots, and a vertical line at the current time
 const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
 let canvas = null, choice = null, drawn = "";

@@ -1,4 +1,4 @@
-"""Mean flow and gusts, from the spectra of a resting arm."""
+"""Estimate of the mean flow and the gusts from the spectra of an arm at rest."""
 
 from ._fit import WindFit as WindFit, WindNumber as WindNumber, fit_wind as fit_wind
 from ._model import (

@@ -1,4 +1,4 @@
-"""The wind that an arm at rest undulates in, from the spectra of its recording."""
+"""Fit of a wind to the spectra of a recording of an arm at rest."""
 
 import dataclasses
 import itertools
@@ -30,7 +30,7 @@ from ._model import (
 from ._record import Resting, resting, tapered
 from ._response import Turbulence
 
-# Standard error of a logarithm beyond which nothing is known: a factor of e.
+# Standard error of a logarithm (a factor of e) above which a parameter counts as not determined.
 OPEN = 1.0
 _TOGETHER = 0.9
 _OFF = 5.0
@@ -41,7 +41,14 @@ _GUSTS = 30
 
 @dataclasses.dataclass(frozen=True)
 class WindNumber:
-    """One number of a wind: its value, standard error (None where held or open), unit."""
+    """Fitted number of a wind.
+
+    Attributes:
+        value: value in the unit.
+        standard_error: standard error; None if the number was fixed or is not determined.
+        unit: unit of the value.
+        free: whether the number was fitted.
+    """
 
     value: float
     standard_error: float | None
@@ -51,24 +58,29 @@ class WindNumber:
 
 @dataclasses.dataclass(frozen=True)
 class WindFit:
-    """A wind fitted to the spectra of a resting arm.
+    """Wind fitted to the spectra of an arm at rest.
 
     Attributes:
-        numbers: speed, deviation, length_scale, decay, heading and climb; the deviation of noise
-            that was not stated; and derived from them `intensity` and `lasting`, the length scale
-            over the speed, s.
-        wind: the same as an object that has spectra.
-        correlation: between the free numbers (logarithms, but for angles), shape (free, free).
+        numbers: speed, deviation, length_scale, decay, heading and climb; the standard deviation of
+            the noise if it was not given; and the derived numbers `intensity` and `lasting` (the
+            length scale divided by the speed, s).
+        wind: wind with these numbers, as an object that computes spectra.
+        correlation: correlation of the free numbers (logarithms, except for angles), shape
+            (free, free).
+        free: names of the free numbers.
         converged: whether the optimiser ended at a maximum.
-        log_likelihood: at the end, but for a constant.
-        misfit: square of the transforms over what is expected, with its standard error; 1 is good.
-        left_out: channels that bend more than they move, and were left out.
-        frequencies: middles of the bands, Hz.
-        measured, fitted: one-sided spectra of each channel, SI^2/Hz, shape (band, channel).
-        means: recorded and fitted mean of each channel and its standard error, SI, shape
-            (3, channel); NaN where the mean was not used.
-        swing: largest standard deviation of a joint, rad.
-        notes: sentences on what the recording cannot tell.
+        log_likelihood: logarithm of the likelihood at the end, up to a constant.
+        misfit: ratio of the squared transforms to their expected values, and its standard error; 1
+            is expected.
+        channels: names of the fitted channels.
+        left_out: channels that were left out because their response is not linear.
+        frequencies: centre frequencies of the bands, Hz.
+        measured, fitted: one-sided spectra of each channel, SI units squared per Hz, shape
+            (band, channel).
+        means: recorded mean, fitted mean, and standard error of the mean of each channel, SI units,
+            shape (3, channel); NaN if the mean was not used.
+        swing: largest standard deviation of a joint angle, rad.
+        notes: warnings about the fit, each a sentence.
     """
 
     numbers: dict[str, WindNumber]
@@ -89,13 +101,13 @@ class WindFit:
 
 
 def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[str, ...]:
-    """Sentences on a fit, by the covariance of logarithms and of angles."""
+    """Return warnings about a fit, from the covariance of the logarithms and of the angles."""
     notes = []
     errors = np.sqrt(np.diag(covariance))
     if not found.converged:
         notes.append(
-            "the fit did not end at a maximum, so its standard errors are not reliable: start with "
-            "better initial values, or fix more parameters"
+            "the fit did not converge to a maximum of the likelihood, so its standard errors are "
+            "not reliable: start with better initial values, or fix more parameters"
         )
     for name, error in zip(found.free, errors, strict=True):
         if error > OPEN:
@@ -116,17 +128,17 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     if abs(found.misfit[0] - 1) > _OFF * found.misfit[1]:
         much = "larger" if found.misfit[0] > 1 else "smaller"
         notes.append(
-            f"the spectra are {found.misfit[0]:.2f} times their expected value, {much} than by "
-            "chance: the arm, the noise or the wind differs from the model, and the standard "
-            "errors do not include this"
+            f"the spectra are {found.misfit[0]:.2f} times their expected value, significantly "
+            f"{much} than 1: the arm, the noise or the wind differs from the model, and the "
+            "standard errors do not include this"
         )
     if expects.use_mean:
         off = np.abs(found.means[0] - found.means[1]) / found.means[2]
         if np.max(off) > _ASIDE:
             notes.append(
-                f"the mean of a channel differs from the model by {np.max(off):.0f} standard "
-                "errors: the direction of the wind or the rest position of the model is wrong; "
-                "free the direction, or do not use the means"
+                f"the mean of a channel differs from the model by {np.max(off):.0f} times its "
+                "standard error, so the direction of the wind or the rest position of the model is "
+                "wrong: free the direction, or do not use the means"
             )
     else:
         notes.append(
@@ -136,8 +148,8 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     gusts = expects.lasts * found.wind.speed / found.wind.length_scale
     if gusts < _GUSTS:
         notes.append(
-            f"the record lasts only {gusts:.0f} times as long as a gust, and the standard errors "
-            f"are approximate below {_GUSTS}"
+            f"the record lasts only {gusts:.0f} times as long as a gust: below {_GUSTS} times, the "
+            "standard errors are approximate"
         )
     if found.swing > _SWINGS:
         notes.append(
@@ -166,7 +178,7 @@ def wind_result(
     found: OptimizeResult,
     left_out: tuple[str, ...],
 ) -> WindFit:
-    """The result of an optimiser's end."""
+    """Return the fitted wind from the result of the optimiser."""
     wind, white = numbers.at(found.x)
     expected = expects.expected(wind, white)
     # Directions without any information get a large variance, not infinity.
@@ -211,7 +223,7 @@ def _numbers(
         return WindNumber(value, told, unit, free=True)
 
     def ratio(above: str, below: str, value: float, unit: str) -> WindNumber:
-        """Of two positive numbers, whose logarithms are subtracted."""
+        """Return the ratio of two positive numbers, with its error from their logarithms."""
         sides = np.zeros(len(errors))
         for name, sign in ((above, 1.0), (below, -1.0)):
             if name in where:
@@ -228,8 +240,8 @@ def _numbers(
     return table
 
 
-_BENT = 0.25  # a channel that bends by more than this of what it moves is none of a linear response
-_TIMES = 3  # fits until no channel bends any more
+_BENT = 0.25  # largest ratio of the quadratic to the linear response of a channel that is used
+_TIMES = 3  # largest number of fits until the responses of all used channels are linear
 
 
 def fit_wind(
@@ -248,29 +260,33 @@ def fit_wind(
 ) -> WindFit:
     """Fit mean flow and turbulence to the spectra and the mean of a resting arm.
 
-    The arm is linearised statistically about its rest in the wind, gusts have von Karman's
-    spectra and the coherence of `giajax.gusts`, and Whittle's likelihood of sine-tapered spectra
-    is maximised. Standard errors are from Fisher's information. Recorded winds of the run are not
-    used.
+    The arm is linearised statistically about its equilibrium in the wind. The gusts have von Karman
+    spectra and the coherence of `giajax.gusts`. The fit maximises Whittle's likelihood of
+    sine-tapered spectra. Standard errors follow from the Fisher information. Recorded winds of the
+    run are not used.
 
     Arguments:
-        model: the arm and its sensors, all of whose parameters are held.
-        run: of the arm under constant commands, evenly sampled.
-        mean: velocity of the mean flow to begin with, m/s; its direction is held unless `heading`
-            or `climb` are free. By default that of the run's [wind], or the arm's own.
-        intensity: to begin with; of three the ratios are held.
-        length_scale: to begin with, m.
-        decay: of the coherence; 0 for one wind but for its lag along the mean flow.
-        free: of `speed`, `deviation`, `length_scale`, `decay`, `heading` and `climb`.
-        use_mean: whether the mean of each channel counts, too, which needs an arm whose pose
-            without wind is right.
-        skip: what is left out at the beginning, s; by default until the arm has come to rest.
-        highest: frequency to look up to, Hz; by default half of what rows resolve.
-        progress: called with a sentence after each step.
+        model: arm and its sensors; all their parameters are fixed.
+        run: evenly sampled run of the arm under constant commands.
+        mean: initial velocity of the mean flow, m/s; its direction is fixed unless `heading` or
+            `climb` is free. Defaults to the [wind] of the run, or to the wind of the arm.
+        intensity: initial turbulence intensity; if three numbers are given, their ratios are fixed.
+        length_scale: initial length scale, m.
+        decay: initial decay coefficient of the coherence; 0 for the same wind at all places, apart
+            from its delay along the mean flow.
+        free: free numbers, from `speed`, `deviation`, `length_scale`, `decay`, `heading` and
+            `climb`.
+        use_mean: also use the mean of each channel, which requires an arm whose pose without wind
+            is correct.
+        skip: duration that is left out at the beginning, s; defaults to the time until the arm has
+            come to rest.
+        highest: highest frequency used, Hz; defaults to half of the Nyquist frequency.
+        progress: function that is called with a message after each step.
 
     Raises:
-        InputError: a run that moves, is uneven or too short, an arm with friction or memory, no
-            mean flow to begin with, or an arm without a rest in it.
+        InputError: the commands of the run move, or it is unevenly sampled or too short; the arm
+            has friction or hysteresis; the initial mean flow is missing; or the arm has no stable
+            equilibrium in the wind.
 
     Example:
         >>> found = fit_wind(model, run, mean=[0.0, 0.2, 0.0])  # doctest: +SKIP
@@ -287,7 +303,7 @@ def fit_wind(
         )
     if model.arm.air.wind_field is not None:
         raise InputError(
-            "the arm has a wind field, but a wind is to be fitted: remove the wind field"
+            "the arm has a wind field, but the wind is to be fitted: remove the wind field"
         )
     own = model.arm.air.wind
     if mean is None:
@@ -324,7 +340,7 @@ def _expectation(expects: WindModel, numbers: Numbers) -> Callable[[np.ndarray],
 
 
 def _straight(model: ArmModel, record: Resting, wind: Turbulence) -> Resting:
-    """The record without channels that bend more than a linear response allows."""
+    """Return the record without the channels whose response is not linear."""
     bent = WindModel(model, record, use_mean=False).bent(wind) > _BENT
     if bent.all():
         raise InputError(

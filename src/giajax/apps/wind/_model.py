@@ -1,4 +1,4 @@
-"""What an arm's record should be like in a wind, by the wind's numbers."""
+"""Expected spectra and means of the record of an arm, as a function of the numbers of a wind."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from ._record import TAPERS, Resting, bands
 from ._response import Linear, Turbulence, at_rest, channel_spectra, motion_covariances
 
 NUMBERS = ("speed", "deviation", "length_scale", "decay", "heading", "climb")
-"""Numbers that describe a wind, in the order of a result."""
+"""Names of the numbers that describe a wind, in the order of a result."""
 
 UNITS = {"speed": "m/s", "deviation": "m/s", "length_scale": "m", "decay": ""}
 UNITS |= {"heading": "rad", "climb": "rad"}
@@ -22,9 +22,10 @@ TURNS = ("heading", "climb")
 
 
 class Numbers:
-    """The free numbers of a wind and of noise, as coordinates of a fit that begins at the wind.
+    """Free numbers of a wind and of the noise, as the coordinates of a fit.
 
-    Noise is free by quantity where the record states none.
+    The fit starts at the given wind. The noise of each quantity is free if the record does not give
+    it.
     """
 
     def __init__(self, wind: Turbulence, free: Sequence[str], record: Resting) -> None:
@@ -36,17 +37,17 @@ class Numbers:
         unstated = [quantity if one is None else "" for quantity, one in pairs]
         self.open = tuple(dict.fromkeys(filter(None, unstated)))
         self.which = [np.array([each == name for each in unstated]) for name in self.open]
-        # Of the coordinates.
+        # Names of the coordinates.
         self.names = (*self.free, *(f"noise of {name.replace('_', ' ')}" for name in self.open))
 
     def start(self, deviations: np.ndarray) -> np.ndarray:
-        """Coordinates of the beginning, with such deviations of each channel's noise, SI."""
+        """Return the initial coordinates, for standard deviations of each channel's noise, SI."""
         turns = dict(zip(TURNS, _turns(self.wind.mean), strict=True))
         wind = [turns[n] if n in TURNS else np.log(getattr(self.wind, n)) for n in self.free]
         return np.array(wind + [np.log(np.median(deviations[which])) for which in self.which])
 
     def at(self, coordinates: np.ndarray) -> tuple[Turbulence, np.ndarray]:
-        """The wind, and the deviation of white noise of each channel, SI."""
+        """Return the wind, and the standard deviation of the white noise of each channel, SI."""
         split = len(self.free)
         value = dict(zip(self.free, coordinates[:split], strict=True))
         heading, climb = (
@@ -65,7 +66,7 @@ class Numbers:
         return wind, white
 
     def value(self, name: str, wind: Turbulence) -> float:
-        """A number of a wind."""
+        """Return a number of a wind by its name."""
         if name in TURNS:
             return float(_turns(wind.mean)[TURNS.index(name)])
         return float(getattr(wind, name))
@@ -77,12 +78,12 @@ def first_guess(
     length_scale: float,
     decay: float,
 ) -> Turbulence:
-    """The wind that a fit begins with."""
+    """Return the initial wind of a fit; the arguments are as in `fit_wind`."""
     flow = np.zeros(3) if mean is None else np.asarray(mean, float)
     if flow.shape != (3,) or not np.all(np.isfinite(flow)) or not np.any(flow):
         raise InputError(
-            "the initial mean wind is missing or 0, where drag has no "
-            "slope: give an approximate velocity, three numbers in m/s"
+            "the initial mean wind is missing or 0, where the drag cannot be linearised: give "
+            "an approximate velocity, three numbers in m/s"
         )
     parts = np.asarray(intensity, float)
     sound = np.all(np.isfinite(parts) & (parts >= 0))
@@ -93,8 +94,8 @@ def first_guess(
         )
     if not (0 < length_scale < np.inf and 0 <= decay < np.inf):
         raise InputError(
-            f"the initial length scale is {length_scale:g} m and the initial decay {decay:g}: give "
-            "a positive length scale, and a decay of at least 0"
+            f"the initial length scale is {length_scale:g} m, and the initial decay is {decay:g}: "
+            "give a positive length scale, and a decay of at least 0"
         )
     along, level, up = np.broadcast_to(parts / parts.flat[0], 3).tolist()
     deviation = float(parts.flat[0] * np.linalg.norm(flow))
@@ -102,25 +103,27 @@ def first_guess(
 
 
 def _turns(mean: np.ndarray) -> tuple[float, float]:
-    """Heading from x towards y, and climb, rad."""
+    """Return the heading, from x towards y, and the climb of a mean flow, rad."""
     return float(np.arctan2(mean[1], mean[0])), float(np.arctan2(mean[2], np.hypot(*mean[:2])))
 
 
-# Whittle's likelihood of a record's spectra and mean, with its gradient and information.
+# Whittle's likelihood of the spectra and the mean of a record, with its gradient and information.
 #
-# Transforms of a stationary record through tapers are independent complex normal variables in
-# bands apart (Whittle, Estimation and information in stationary time series, Arkiv for Matematik
-# 2, 1953, p. 423), whose covariance is the spectrum that the tapers see. The mean of the record
-# is normal, with the spectrum about zero.
+# The tapered transforms of a stationary record in separate bands are independent complex normal
+# variables (Whittle, Estimation and information in stationary time series, Arkiv for Matematik 2,
+# 1953, p. 423). Their covariance is the spectrum, averaged by the tapers. The mean of the record is
+# normal, and its covariance follows from the spectrum near zero frequency.
 
 
 class Expected(NamedTuple):
-    """What a model says of a record.
+    """Prediction of a model for a record.
 
     Attributes:
-        spectra: one-sided, as the tapers see them, SI^2/Hz, shape (band, channel, channel).
-        mean: of the channels, shape (channel,); None where nothing is said of it.
-        covariance: of that mean, shape (channel, channel).
+        spectra: one-sided spectra, averaged by the tapers, SI units squared per Hz, shape
+            (band, channel, channel).
+        mean: means of the channels, shape (channel,); None if they are not predicted.
+        covariance: covariance of these means, shape (channel, channel); None if they are not
+            predicted.
     """
 
     spectra: np.ndarray
@@ -129,7 +132,7 @@ class Expected(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What a record is: transforms, shape (band, taper, channel), and means, shape (channel,)."""
+    """Transforms, shape (band, taper, channel), and means, shape (channel,), of a record."""
 
     transforms: np.ndarray
     mean: np.ndarray
@@ -137,14 +140,14 @@ class Recorded(NamedTuple):
 
 Model = Callable[[np.ndarray], Expected]
 
-# In logarithms and radians.
+# Step of the finite differences, for logarithms and for angles in rad.
 _STEP = 1e-3
-_REFUSED = 8  # steps in a row, of which each is a quarter of the one before: none will do
+_REFUSED = 8  # rejected steps in a row, each a quarter of the previous one, that end the fit
 _OPTIONS = {"initial_trust_radius": 0.3, "max_trust_radius": 0.7, "gtol": 0.1, "maxiter": 40}
 
 
 def log_likelihood(expected: Expected, recorded: Recorded) -> float:
-    """Logarithm of the likelihood, but for a constant."""
+    """Return the logarithm of the likelihood, up to a constant."""
     sizes = np.linalg.slogdet(expected.spectra)[1]
     total = -TAPERS * np.sum(sizes) - np.sum(np.abs(whitened(expected, recorded)) ** 2)
     if expected.mean is not None and expected.covariance is not None:
@@ -155,13 +158,13 @@ def log_likelihood(expected: Expected, recorded: Recorded) -> float:
 
 
 def whitened(expected: Expected, recorded: Recorded) -> np.ndarray:
-    """The transforms as independent numbers of size 1, shape (band, channel, taper)."""
+    """Return transforms as independent variables of variance 1, shape (band, channel, taper)."""
     lower = np.linalg.cholesky(expected.spectra)
     return np.linalg.solve(lower, recorded.transforms.swapaxes(1, 2))
 
 
 def slopes(model: Model, at: np.ndarray) -> list[Expected]:
-    """Derivatives of what a model says by each of its numbers, by central differences."""
+    """Return the derivatives of a prediction for each coordinate, by central differences."""
     found = []
     for index in range(len(at)):
         step = np.zeros(len(at))
@@ -178,7 +181,10 @@ def slopes(model: Model, at: np.ndarray) -> list[Expected]:
 def gradient_and_information(
     expected: Expected, by: list[Expected], recorded: Recorded
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient of the log-likelihood, and Fisher's information, by derivatives of the expected."""
+    """Return the gradient of the log-likelihood and the Fisher information.
+
+    `by` contains the derivatives of the expected spectra and means for each coordinate.
+    """
     count = len(by)
     inverse = np.linalg.inv(expected.spectra)
     shares = [inverse @ part.spectra for part in by]
@@ -215,10 +221,10 @@ def most_likely(
     recorded: Recorded,
     progress: Callable[[str], object] | None = None,
 ) -> OptimizeResult:
-    """The numbers that make a record most likely, by SciPy's exact trust region.
+    """Return the maximum-likelihood coordinates, with the exact trust-region method of SciPy.
 
-    Fisher's information stands for the second derivatives. Of the result `x` are the numbers,
-    `fun` is minus the log-likelihood, `hess` the information.
+    The Fisher information is used instead of the second derivatives. In the result, `x` are the
+    coordinates, `fun` is the negative log-likelihood, and `hess` is the information.
     """
     model(start)
     known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
@@ -227,7 +233,7 @@ def most_likely(
         try:
             return -log_likelihood(model(at), recorded)
         except (InputError, np.linalg.LinAlgError):
-            return np.inf  # a step too far, and a shorter one follows
+            return np.inf  # the step was too long; a shorter one follows
 
     def slopes_at(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         key = at.tobytes()
@@ -256,19 +262,20 @@ def most_likely(
     )
 
 
-# How closely the spread of the relative velocities is that of the motion.
+# Tolerance of the iteration for the spread of the relative velocities, relative to the wind speed,
+# and largest number of iterations.
 _CLOSE = 1e-7
 _ROUNDS = 40
 
-# Of the spectrum about zero that makes the mean of a record, in bins.
+# Frequencies at which the spectrum is integrated for the covariance of the mean, in bins.
 _ABOUT_ZERO = np.linspace(0.0, 20.0, 161)
 
 
 @dataclasses.dataclass
 class WindModel:
-    """The expected spectra and means of a record, as functions of a wind.
+    """Expected spectra and means of a record, as functions of a wind.
 
-    Where the last wind was balanced is where the next one begins.
+    The search for the equilibrium starts from that of the previous wind.
     """
 
     model: ArmModel
@@ -284,7 +291,7 @@ class WindModel:
         self.lasts = samples * self.record.interval
 
     def about(self, wind: Turbulence) -> tuple[Linear, np.ndarray, np.ndarray]:
-        """The arm about its rest, the covariance of its angles and its places in the wind."""
+        """Return the linearised arm, the covariance of its angles, and the places of its links."""
         spread = self._spread
         if spread is None:
             spread = np.tile(np.linalg.cholesky(wind.covariance()), (self.model.arm.count, 1, 1))
@@ -306,7 +313,12 @@ class WindModel:
         return here, covariance, places
 
     def expected(self, wind: Turbulence, noise: np.ndarray) -> Expected:
-        """Spectra as tapers see them, and the mean; with white noise of such deviations, SI."""
+        """Return the taper-averaged spectra and the means.
+
+        Arguments:
+            wind: wind that acts on the arm.
+            noise: standard deviation of the white noise of each channel, SI units.
+        """
         here, covariance, places = self.about(wind)
 
         def spectra(frequencies: np.ndarray) -> np.ndarray:
@@ -316,14 +328,14 @@ class WindModel:
         seen = spectra(self.bands.frequencies)[self.bands.members].mean(axis=1)
         if not self.use_mean:
             return Expected(seen, None, None)
-        # Channels bend with the arm: the mean of a curve is beside its middle.
+        # Add the second-order term of the mean of a nonlinear channel.
         mean = here.rest + 0.5 * np.einsum("cij,ij->c", here.bend, covariance)
         slow = spectra(np.maximum(_ABOUT_ZERO, 1e-6) / self.lasts).real
         window = np.sinc(_ABOUT_ZERO) ** 2 / self.lasts
         return Expected(seen, mean, np.trapezoid(window[:, None, None] * slow, _ABOUT_ZERO, axis=0))
 
     def noise(self, frequencies: np.ndarray, white: np.ndarray) -> np.ndarray:
-        """One-sided spectra of the noise, diagonal, shape (frequency, channel, channel)."""
+        """Return one-sided diagonal spectra of the noise, shape (frequency, channel, channel)."""
         levels = np.tile(2 * white**2 * self.record.interval, (len(frequencies), 1))
         for index, stated in enumerate(self.record.noise):
             if stated is not None and stated[1]:
@@ -333,7 +345,7 @@ class WindModel:
         return levels[:, :, None] * np.eye(levels.shape[1])
 
     def bent(self, wind: Turbulence) -> np.ndarray:
-        """Deviation of what bends of each channel over that of what does not."""
+        """Return the standard deviation of the quadratic response over that of the linear one."""
         here, covariance, _ = self.about(wind)
         straight = np.einsum("ci,ij,cj->c", here.shows_angle, covariance, here.shows_angle)
         curved = here.bend @ covariance

@@ -1,9 +1,9 @@
-"""A record of an arm at rest in a wind, and its spectra by sine tapers.
+"""Record of an arm at rest in a wind, and its spectra with sine tapers.
 
-The tapers are Riedel and Sidorenko's (Minimum bias multiple taper spectral estimation, IEEE
-Transactions on Signal Processing 43, 1995, p. 188). The k-th is a window at half a bin's distance
-k / 2T on either side, so that K of them see a band of (K + 1) / T, and that far apart bands are
-all but independent of each other.
+The tapers are those of Riedel and Sidorenko (Minimum bias multiple taper spectral estimation, IEEE
+Transactions on Signal Processing 43, 1995, p. 188). The k-th taper has its spectral window at k
+half bins, k / 2T, on either side of a frequency. K tapers therefore cover a band of width
+(K + 1) / T, and bands at this distance are almost independent.
 """
 
 import dataclasses
@@ -21,18 +21,19 @@ from ..synthetic import RESOLVED
 
 TAPERS = 5
 
-# Bands of a long record that are quick compared with its length: a choice of them says as much of
-# what is smooth there.
+# Of a long record, the first bands are all used, and then a selection of the further bands, because
+# the spectra are smooth at high frequencies.
 _ALL, _MORE = 150, 150
 
 
 class Bands(NamedTuple):
-    """Bands of a record.
+    """Frequency bands of a record.
 
     Attributes:
-        middles: Hz, shape (band,).
-        frequencies: where a model's spectra are needed, Hz, shape (frequency,).
-        members: for each band the frequencies that its tapers see, alike, shape (band, 2 TAPERS).
+        middles: centre frequencies of the bands, Hz, shape (band,).
+        frequencies: frequencies at which a model must be evaluated, Hz, shape (frequency,).
+        members: indices of the frequencies that the tapers of each band average with equal weights,
+            shape (band, 2 TAPERS).
     """
 
     middles: Float[np.ndarray, " band"]
@@ -41,10 +42,13 @@ class Bands(NamedTuple):
 
 
 def bands(samples: int, interval: float, highest: float) -> Bands:
-    """The bands of a record from just above zero up to a frequency (Hz); its interval is in s."""
+    """Return the bands of a record, from just above zero up to the frequency `highest`, Hz.
+
+    The interval between two samples is in s.
+    """
     half = 1 / (2 * (samples + 1) * interval)
     apart = 2 * (TAPERS + 1)
-    # The mean is taken off, which empties the first bin.
+    # Begin above the first bin, which is empty because the mean is subtracted.
     steps = np.arange(apart // 2 + 2, int(highest / half) - TAPERS, apart)
     if len(steps) > _ALL + _MORE:
         chosen = np.geomspace(_ALL, len(steps) - 1, _MORE).astype(int)
@@ -57,44 +61,48 @@ def bands(samples: int, interval: float, highest: float) -> Bands:
 def tapered(
     values: Float[np.ndarray, "sample channel"], interval: float, middles: np.ndarray
 ) -> np.ndarray:
-    """Transforms of evenly sampled values through each taper, whose products are one-sided spectra.
+    """Return tapered transforms of evenly sampled values; their products are one-sided spectra.
 
-    The interval is in s; the middles of bands are multiples of half a bin, Hz. The mean is taken
-    off. Complex, shape (band, taper, channel), in units per root of Hz.
+    The interval is in s. The centre frequencies of the bands are multiples of half a bin, Hz. The
+    mean is subtracted first. The transforms are complex, with the shape (band, taper, channel), in
+    units per sqrt(Hz).
     """
     samples = len(values)
     about = values - values.mean(axis=0)
     order = np.arange(1, TAPERS + 1)
     turns = np.pi * np.outer(np.arange(1, samples + 1), order) / (samples + 1)
     tapers = np.sqrt(2 / (samples + 1)) * np.sin(turns)
-    # Padded to twice its length plus two, a transform has half bins.
+    # Zero-padding to twice the length plus two gives a transform with half bins.
     length = 2 * (samples + 1)
     at = np.rint(middles * length * interval).astype(int)
     transformed = np.fft.rfft(tapers[:, :, None] * about[:, None, :], length, axis=0)
     return np.sqrt(2 * interval) * transformed[at]
 
 
-# Fewer bands know no three numbers.
+# Smallest number of bands from which three numbers can be estimated.
 _FEWEST = 8
 _MISSING = 0.05
 _UNEVEN = 0.01
-_STILL = 1e-6  # what a command may move by, rad: rounding of a file
+_STILL = 1e-6  # largest range of a constant command, rad; allows for the rounding of a file
 
 
 @dataclasses.dataclass(frozen=True)
 class Resting:
-    """Evenly sampled channels (SI) of an arm whose commands rest.
+    """Evenly sampled channels of an arm under constant commands.
 
     Attributes:
-        interval: between two samples, s.
-        highest: frequency that is looked at, Hz.
-        command: of the joints, rad.
-        delays: of each channel's clock, s.
-        quantities: of each channel, whose noise is alike where it is not stated.
-        noise: for each channel the deviation of its white noise, and that of its noise with a
-            memory with its time (s), SI; None where nothing is stated.
-        filled: share of the cells that were empty.
-        settled: after how long nothing was unlike the rest, s, where that was looked for.
+        names: names of the channels.
+        values: values of the channels, SI units, shape (sample, channel).
+        interval: interval between two samples, s.
+        highest: highest frequency used, Hz.
+        command: commanded angles of the joints, rad.
+        delays: delay of the clock of each channel, s.
+        quantities: quantity of each channel; channels of one quantity have the same noise if it is
+            not given.
+        noise: standard deviation of the white noise of each channel, and standard deviation and
+            correlation time, s, of its correlated noise, SI units; None if the noise is not given.
+        filled: fraction of the cells that were empty.
+        settled: duration until the arm came to rest, s, if it was detected.
     """
 
     names: tuple[str, ...]
@@ -109,7 +117,7 @@ class Resting:
     settled: float = 0.0
 
     def of(self, chosen: Sequence[int]) -> "Resting":
-        """Only some of the channels."""
+        """Return the record with only the chosen channels."""
         return dataclasses.replace(
             self,
             names=tuple(self.names[index] for index in chosen),
@@ -123,7 +131,7 @@ class Resting:
 def resting(
     model: ArmModel, run: Run, *, skip: float | None = None, highest: float | None = None
 ) -> Resting:
-    """The record of a run of the arm; `skip` (s) and `highest` (Hz) are as of `fit_wind`."""
+    """Return the record of a run of the arm; `skip`, s, and `highest`, Hz, are as in `fit_wind`."""
     if run.model != "arm" or run.times is None:
         raise InputError(f"'{run.name}' is a run of the {run.model} model: give a run of an arm")
     joints = model.arm.joints
@@ -189,15 +197,17 @@ def resting(
 
 
 _BLOCKS = 32
-_BY_CHANCE = 1e-3  # that a record without a transient loses its beginning
+_BY_CHANCE = 1e-3  # probability that the beginning of a record without a transient is left out
 
 
 def _settled(run: Run, times: np.ndarray) -> float:
-    """How long a record is unlike its second half, s, such as an arm that still comes to rest.
+    """Return the duration after which a record resembles its second half, s.
 
-    After the last command, mean and deviation of each channel in blocks are compared with those of
-    the blocks of the second half, by Student's distribution; but not where a block is shorter than
-    two correlation times, because blocks that depend on each other are unlike too often.
+    The beginning differs, for example, if the arm is still coming to rest. After the last command,
+    the record is divided into blocks. The mean and the standard deviation of each channel in each
+    block are compared with the blocks of the second half, with Student's t distribution. There is
+    no comparison if a block is shorter than two correlation times, because dependent blocks differ
+    too often.
     """
     moving = [np.abs(column - column[-1]) > _STILL for column in run.commands.values()]
     rows = np.flatnonzero(np.any(moving, axis=0)) if moving else np.array([], dtype=int)
@@ -207,7 +217,8 @@ def _settled(run: Run, times: np.ndarray) -> float:
     if length < 4:
         return begun
     table = np.stack([*run.observations.values()], axis=1)[first : first + _BLOCKS * length]
-    # Two of them, by the sum of squared correlations, which noise makes a quarter too large.
+    # The limit is two correlation times. They are computed from the sum of squared correlations,
+    # which noise makes a quarter too large.
     if length < 1.6 * _correlation(table[len(table) // 2 :], 2 * length):
         return begun
     blocks = np.ma.masked_invalid(table.reshape(_BLOCKS, length, -1))
@@ -220,13 +231,13 @@ def _settled(run: Run, times: np.ndarray) -> float:
     odd = np.any((np.abs(told - later.mean(axis=0)) / deviation).filled(0) > highest, axis=1)
     if not odd[0]:
         return begun
-    # As long again, in which what is left of it decays below what can be seen.
+    # Leave out the same duration once more, in which the rest of the transient decays.
     until = min(2 * int(np.argmin(np.append(odd[:half], False))), half)
     return float(times[first + until * length] - times[0])
 
 
 def _correlation(table: np.ndarray, lags: int) -> float:
-    """How many rows depend on each other, at most of the channels."""
+    """Return the largest correlation time of the channels, in rows."""
     known = np.ma.masked_invalid(table)
     about = (known - known.mean(axis=0)).filled(0.0)
     power = np.abs(np.fft.rfft(about, 2 * len(about), axis=0)) ** 2
@@ -260,16 +271,15 @@ def _command(model: ArmModel, run: Run, kept: np.ndarray) -> np.ndarray:
 
 
 def _filled(run: Run, kept: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, float]:
-    """The channels with straight lines through their gaps, and the share of those."""
+    """Return the channels with linearly interpolated gaps, and the fraction of these cells."""
     table = np.stack([column[kept] for column in run.observations.values()], axis=1)
     empty = np.isnan(table)
     for index, name in enumerate(run.observations):
         gaps = empty[:, index]
         if gaps.mean() > _MISSING:
             raise InputError(
-                f"{name} of '{run.name}' is empty in {gaps.mean():.0%} of its rows, but for a "
-                f"spectrum at most {_MISSING:.0%} may be filled: omit the channel, or shorten the "
-                "run"
+                f"{name} of '{run.name}' is empty in {gaps.mean():.0%} of its rows, but at most "
+                f"{_MISSING:.0%} may be filled for a spectrum: omit the channel, or shorten the run"
             )
         table[gaps, index] = np.interp(times[gaps], times[~gaps], table[~gaps, index])
     return table, float(empty.mean())

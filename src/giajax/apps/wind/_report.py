@@ -1,4 +1,4 @@
-"""A fitted wind as a picture and as plain data."""
+"""Figure and JSON text of a fitted wind."""
 
 import dataclasses
 import json
@@ -11,13 +11,13 @@ from ...recordings import Channel, Run
 from ...report import BLUE, GREY, new_figure, plain
 from ._fit import WindFit
 
-# Spectra of more channels than this are small print.
+# Largest number of channels in a figure; more panels would be too small to read.
 _MOST = 9
 _ACROSS = 3
 
 
 def wind_figure(found: WindFit, title: str = "") -> Figure:
-    """Measured and fitted spectra of the channels; of many those that move most."""
+    """Plot the measured and fitted spectra of the channels that move most, at most nine."""
     moves = np.sum(found.fitted, axis=0)
     drawn = np.sort(np.argsort(-moves, kind="stable")[:_MOST])
     across = min(_ACROSS, len(drawn))
@@ -29,7 +29,7 @@ def wind_figure(found: WindFit, title: str = "") -> Figure:
         axes.loglog(found.frequencies, measured, ".", color=GREY, ms=3, label="measured")
         axes.loglog(found.frequencies, fitted, color=BLUE, label="fitted")
         unit = Channel.named(found.channels[index]).si_unit
-        # A rate's unit is a fraction.
+        # The unit of a rate is a fraction, which needs brackets.
         density = f"({unit})$^2$/Hz" if "/" in unit else f"{unit}$^2$/Hz"
         plain(axes, found.channels[index], "frequency (Hz)", density)
         axes.tick_params(which="both", labelsize=8)
@@ -39,7 +39,7 @@ def wind_figure(found: WindFit, title: str = "") -> Figure:
 
 
 def wind_json(found: WindFit, run: Run) -> str:
-    """A wind as JSON text, without its spectra, and the run that it was fitted to."""
+    """Return a fitted wind without its spectra, and its run, as JSON text."""
     facts: dict[str, Any] = {
         "run": run.name,
         "sha256": run.sha256,

@@ -1,4 +1,4 @@
-"""Spectra of an arm's channels in gusts, from the arm about its rest."""
+"""Spectra of the channels of an arm in gusts, linearised about its equilibrium."""
 
 import dataclasses
 import itertools
@@ -18,31 +18,33 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ..synthetic import gust_coherence, gust_spectrum, wind_frame
 
-# An arm about its rest in a wind: what its joints and channels do of a small gust.
+# Linear response of joints and channels to gusts, about the equilibrium of the arm in a wind.
 #
-# Drag is no linear force, and gusts are not small beside the mean flow. It is linearised
-# statistically, for relative velocities that are normal about the mean: the mean of the force
-# over them keeps the balance, and the mean of its slope is the slope (Roberts and Spanos, Random
-# vibration and statistical linearization, Wiley 1990, section 5.3). The means are sums over three
-# points of Gauss and Hermite along each axis.
+# Drag is nonlinear, and gusts are not small compared with the mean flow. The drag is therefore
+# linearised statistically, for relative velocities with a normal distribution about their mean:
+# the equilibrium uses the mean of the force, and the linearisation the mean of its derivative
+# (Roberts and Spanos, Random vibration and statistical linearization, Wiley 1990, section 5.3). The
+# means are sums over three Gauss-Hermite points along each axis.
 
-# Of a normal variable: exact for polynomials up to the fifth power.
+# Points and weights for a normal variable, exact for polynomials up to the fifth power.
 _POINTS = np.sqrt(3.0) * np.array([-1.0, 0.0, 1.0])
 _WEIGHTS = np.array([1 / 6, 2 / 3, 1 / 6])
 
 
 class Linear(NamedTuple):
-    """The arm about one pose, with means over the relative velocities of links and air.
+    """Arm linearised about one pose, averaged over the relative velocities of links and air.
 
     Attributes:
-        unbalanced: acceleration in the pose at rest, rad/s^2; 0 where it is the balance.
-        by_angle, by_rate: derivatives of the acceleration by angles (rad) and rates (rad/s).
-        by_wind, by_wind_rate: by the wind of each link, m/s, and by its rate of change, m/s^2.
-        rest: recorded channels in the pose, SI.
-        shows_angle, shows_rate: their derivatives by angles and rates.
-        bend: their second derivatives by angles.
+        unbalanced: acceleration in the pose at rest, rad/s^2; 0 in equilibrium.
+        by_angle, by_rate: derivatives of the acceleration with respect to the angles, rad, and to
+            the rates, rad/s.
+        by_wind, by_wind_rate: derivatives of the acceleration with respect to the wind at each
+            link, m/s, and to its rate of change, m/s^2.
+        rest: recorded channels in the pose, SI units.
+        shows_angle, shows_rate: derivatives of the channels with respect to angles and rates.
+        bend: second derivatives of the channels with respect to the angles.
         places: centres of the links, m.
-        moves: derivatives of the centres by the angles, m/rad.
+        moves: derivatives of the centres with respect to the angles, m/rad.
     """
 
     unbalanced: Float[Array, " joint"]
@@ -61,7 +63,10 @@ class Linear(NamedTuple):
 def _mean_acceleration(
     arm: Arm, command: Array, spread: Array
 ) -> Callable[[Array, Array, Array, Array], Array]:
-    """The acceleration by angles, rates, winds and their rates, over the relative velocities."""
+    """Return the acceleration as a function, averaged over the relative velocities.
+
+    Its arguments are the angles, the rates, and the wind at the links with its rate of change.
+    """
     nodes = jnp.asarray(list(itertools.product(_POINTS, repeat=3)))
     weights = jnp.asarray([np.prod(part) for part in itertools.product(_WEIGHTS, repeat=3)])
 
@@ -82,7 +87,7 @@ def unbalanced(
     mean: Float[Array, "3"],
     spread: Float[Array, "link 3 3"],
 ) -> tuple[Array, Array]:
-    """`unbalanced` and `by_angle` of `linear` alone, by arguments as it has them."""
+    """Return only `unbalanced` and `by_angle` of `linear`; the arguments are the same."""
     accelerated = _mean_acceleration(model.arm, command, spread)
     steady = jnp.broadcast_to(mean, (model.arm.count, 3))
 
@@ -103,12 +108,14 @@ def linear(
     mean: Float[Array, "3"],
     spread: Float[Array, "link 3 3"],
 ) -> Linear:
-    """Linearise about a pose of an arm, without the clocks of its sensors.
+    """Linearise an arm about a pose, without the clocks of its sensors.
 
     Arguments:
-        command, angles: commanded, and of the pose, rad.
-        mean: of the wind, m/s.
-        spread: root of the covariance of each link's velocity relative to the air, m/s.
+        model: arm and its sensors.
+        names: names of the channels.
+        command, angles: commanded angles, and angles of the pose, rad.
+        mean: mean velocity of the wind, m/s.
+        spread: square root of the covariance of the velocity of each link relative to the air, m/s.
     """
     arm = model.arm
     mean_acceleration = _mean_acceleration(arm, command, spread)
@@ -116,7 +123,7 @@ def linear(
     steady = jnp.broadcast_to(mean, (arm.count, 3))
 
     def shown(angles: Array, rates: Array) -> Array:
-        # What sensors ask of a motion, of one instant.
+        # Provide what the sensors require of a motion, for one instant.
         instant = {"angles": angles[None], "rates": rates[None], "successful": True}
         motion: Any = SimpleNamespace(arm=arm, **instant)
         given = (model.sensors, lambda times, end: motion, jnp.zeros(1), names)
@@ -153,8 +160,14 @@ def at_rest(
     mean: np.ndarray,
     spread: np.ndarray,
 ) -> tuple[np.ndarray, Linear]:
-    """The pose in which the arm rests in a wind, looked for from some angles, and the arm there."""
-    # Spectra are late by a phase.
+    """Return the equilibrium angles of the arm in a wind, and the arm linearised about them.
+
+    The search starts from the angles `begin`. The other arguments are as in `linear`.
+
+    Raises:
+        InputError: the arm has no equilibrium, or an unstable one.
+    """
+    # Ignore the clocks: a delay only multiplies a spectrum by a phase, which is added later.
     model = dataclasses.replace(model, sensors=model.sensors.without_clocks())
 
     def off(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,22 +177,21 @@ def at_rest(
 
     found = root(off, begin, jac=True, options={"xtol": 1e-13})
     given = (jnp.asarray(item, float) for item in (command, found.x, mean, spread))
-    # As arrays of NumPy, in which the rest of it is done.
+    # Convert to NumPy arrays, which all further computations use.
     values: Any = [np.asarray(item) for item in linear(model, names, *given)]
     here = Linear(*values)
-    # A step of Newton's method from here, which is what remains of the angles.
+    # The remaining error of the angles is estimated by one more Newton step.
     left = np.linalg.lstsq(here.by_angle, here.unbalanced, rcond=None)[0]
     if not np.all(np.isfinite(left)) or np.max(np.abs(left)) > 1e-7:
         raise InputError(
             "no equilibrium of the arm was found in a mean wind of "
-            f"{np.array2string(mean, precision=3)} "
-            "m/s: start from a weaker wind"
+            f"{np.array2string(mean, precision=3)} m/s: start from a weaker wind"
         )
     joints = len(found.x)
     motion = np.block([[np.zeros((joints, joints)), np.eye(joints)], [here.by_angle, here.by_rate]])
     if np.max(np.linalg.eigvals(motion).real) > 0:
         raise InputError(
-            f"the arm does not stay at its rest in a mean wind of "
+            f"the equilibrium of the arm is unstable in a mean wind of "
             f"{np.array2string(mean, precision=3)} m/s, so its motion has no spectrum: start from "
             "a weaker wind, or correct the stiffness and gravity of the arm"
         )
@@ -188,15 +200,15 @@ def at_rest(
 
 @dataclasses.dataclass(frozen=True)
 class Turbulence:
-    """A wind by its numbers.
+    """Mean flow and turbulence.
 
     Attributes:
         mean: velocity of the mean flow, m/s, shape (3,).
         deviation: standard deviation of the gusts along the mean flow, m/s.
         length_scale: longitudinal length scale, m.
-        decay: of the coherence over distances.
-        shares: deviations along the mean flow, across it on the level and across both, over
-            the first of them.
+        decay: decay coefficient of the coherence.
+        shares: standard deviations along the mean flow, horizontally across it, and perpendicular
+            to both, divided by the first one.
     """
 
     mean: np.ndarray
@@ -207,26 +219,27 @@ class Turbulence:
 
     @property
     def speed(self) -> float:
-        """Of the mean flow, m/s."""
+        """Speed of the mean flow, m/s."""
         return float(np.linalg.norm(self.mean))
 
     def covariance(self) -> np.ndarray:
-        """Of the gusts at one place, m^2/s^2, shape (3, 3)."""
+        """Return the covariance of the gusts at one place, m^2/s^2, shape (3, 3)."""
         frame = np.stack(wind_frame(self.mean / self.speed))
         return frame.T @ np.diag((self.deviation * np.asarray(self.shares)) ** 2) @ frame
 
     def roots(
         self, places: np.ndarray, frequencies: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each component the direction, and roots of its spectra at places (m), by Hz.
+        """Return the direction of each component, and the square root of its spectra.
 
-        A root R, of shape (frequency, place, place), has R R^H for the one-sided spectra.
+        The places are in m and the frequencies in Hz. The one-sided spectra are R R^H, with the
+        square root R of shape (frequency, place, place).
         """
         along = self.mean / self.speed
         carried = {"speed": self.speed, "length_scale": self.length_scale}
         about: Any = {"along": along, "decay": self.decay, **carried}
         coherence = gust_coherence(places, frequencies, **about)
-        # Places that are one have the same wind.
+        # The small diagonal term allows coincident places, which have the same wind.
         root = np.linalg.cholesky(coherence + 1e-9 * np.eye(len(places)))
         late = np.exp(-2j * np.pi * frequencies[:, None] * (places @ along) / self.speed)
         parts = []
@@ -242,9 +255,9 @@ class Turbulence:
 
 
 def joint_responses(here: Linear, frequencies: np.ndarray) -> np.ndarray:
-    """Complex angles of the joints by the wind of each link, rad per m/s; frequencies in Hz.
+    """Return the frequency responses of the joint angles to the wind at each link, rad per m/s.
 
-    Their shape is (frequency, joint, link, 3).
+    The frequencies are in Hz. The result has the shape (frequency, joint, link, 3).
     """
     turn = 2j * np.pi * frequencies[:, None, None]
     joints = len(here.by_angle)
@@ -257,9 +270,9 @@ def joint_responses(here: Linear, frequencies: np.ndarray) -> np.ndarray:
 def channel_spectra(
     here: Linear, wind: Turbulence, places: np.ndarray, frequencies: np.ndarray, delays: np.ndarray
 ) -> np.ndarray:
-    """One-sided spectra of the channels without noise, SI^2/Hz, (frequency, channel, channel).
+    """Return the one-sided cross-spectra of the channels without noise, SI units squared per Hz.
 
-    The places, m, are those where the links are to the wind.
+    The wind is evaluated at the places, m. The result has the shape (frequency, channel, channel).
     """
     turned = joint_responses(here, frequencies).reshape(len(frequencies), len(here.by_angle), -1)
     turn = 2j * np.pi * frequencies[:, None, None]
@@ -276,11 +289,12 @@ def channel_spectra(
 def motion_covariances(
     here: Linear, wind: Turbulence, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the angles, rad^2, and of each link's velocity relative to the air, m^2/s^2.
+    """Return the covariances of the angles, rad^2, and of the relative velocities, m^2/s^2.
 
-    Their shapes are (joint, joint) and (link, 3, 3).
+    The relative velocities are those of the links relative to the air. The shapes are
+    (joint, joint) and (link, 3, 3).
     """
-    # From a thousand times what a gust lasts to a hundredth of it.
+    # Periods from a thousand times the duration of a gust down to a hundredth of it.
     frequencies = np.geomspace(1e-3, 1e2, 141) * wind.speed / wind.length_scale
     turned = joint_responses(here, frequencies)
     rates = 2j * np.pi * frequencies[:, None, None, None]
@@ -293,7 +307,7 @@ def motion_covariances(
         apart = axis[None, None, :, None] * square_root[:, :, None, :] - follows
         relative += np.real(apart @ apart.conj().swapaxes(2, 3))
     of_links = np.asarray(np.trapezoid(relative, frequencies, axis=0))
-    # What is slower and quicker than the grid is as it is for an arm that does not follow.
+    # For frequencies outside the grid, assume that the arm does not follow the wind.
     powers = [np.abs(each[:, 0, 0]) ** 2 for _, each in wind.roots(places[:1], frequencies)]
     known = np.trapezoid(sum(powers), frequencies)
     beyond = 1 - known / np.trace(wind.covariance())

@@ -1,4 +1,4 @@
-"""The multibody arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
+"""Multibody model of the arm: chain, presets, kinematics, dynamics, air, buoyancy and energy."""
 
 from ._air import drag_force as drag_force
 from ._arm import (

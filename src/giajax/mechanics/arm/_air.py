@@ -1,4 +1,4 @@
-"""What the air does to the links: wind, drag, added mass and lift."""
+"""Aerodynamic loads on the links: wind, drag, added mass and lift."""
 
 from typing import Any, NamedTuple
 
@@ -13,15 +13,21 @@ from ._joint_laws import PerJoint
 from ._kinematics import Pose, Rows, angular_velocities, centre_velocities, pose
 
 Wind = Float[Array, "3"] | Float[Array, "link 3"]
-"""Of the air: one vector for the whole arm, or one for each link."""
+"""Velocity of the air: one vector for the whole arm, or one for each link."""
 
 
 class Flow(NamedTuple):
-    """The air's velocity (m/s) and its rate (m/s^2): a column for the arm, or one for each link.
+    """Velocity of the air.
 
-    With the time (s) of a wind field, or None without one. Where that is, it is beside all else,
-    and `places` and `bodies` say how much faster (m/s) the air is at the places along the links
-    and at the bodies that they carry than at the links' centres.
+    A wind field is added to the other winds.
+
+    Attributes:
+        velocity: velocity, m/s; one column for the whole arm, or one for each link.
+        rate: rate of change of the velocity, m/s^2; one column for the whole arm, or one for each
+            link.
+        time: time at which a wind field is evaluated, s; None without a wind field.
+        places: velocity at the points along the links minus that at the link centres, m/s.
+        bodies: velocity at the bodies carried by the links minus that at the link centres, m/s.
     """
 
     velocity: Float[Array, "3 places"]
@@ -32,14 +38,26 @@ class Flow(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Force on each link at its geometric centre, N, and couple, N m (None: no couple)."""
+    """Load on each link.
+
+    Attributes:
+        force: force at the geometric centre of the link, N.
+        couple: couple, N m; None for no couple.
+    """
 
     force: Rows
     couple: Rows | None
 
 
 def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None, time: Any = 0.0) -> Flow:
-    """The wind of a run; what is None is zero. The time, s, is that of a wind field."""
+    """Return the wind of a run.
+
+    Arguments:
+        arm: the arm.
+        wind: velocity of the air, m/s; None for still air.
+        rate: rate of change of the velocity, m/s^2; None for a steady wind.
+        time: time at which a wind field is evaluated, s.
+    """
 
     def columns(vectors: Wind | None) -> Array:
         if vectors is None:
@@ -52,10 +70,10 @@ def flow(arm: Arm, wind: Wind | None, rate: Wind | None = None, time: Any = 0.0)
 
 
 def with_field(arm: Arm, here: Pose, wind: Flow) -> Flow:
-    """A wind with that of the arm's wind field, where the links are.
+    """Add the wind field of the arm, evaluated at the links, to a wind.
 
-    Its rate is that of the air which is there, not that of the place: for added mass (Auton, Hunt
-    and Prud'homme, J. Fluid Mech. 197 (1988) 241).
+    The rate for the added mass is the derivative following the motion of the air, not that at a
+    fixed position (Auton, Hunt and Prud'homme, J. Fluid Mech. 197 (1988) 241).
     """
     field, time = arm.air.wind_field, wind.time
     if field is None or time is None:
@@ -85,22 +103,24 @@ def with_field(arm: Arm, here: Pose, wind: Flow) -> Flow:
 
 
 def relative_velocity(arm: Arm, centre_velocity: Rows, wind: Flow) -> Rows:
-    """Velocity of each link's centre relative to the air, the arm's own wind included."""
+    """Return the velocity of each link centre relative to the air, including `air.wind`."""
     own = arm.air.wind
     return centre_velocity - (wind.velocity if own is None else wind.velocity + own[:, None])
 
 
 def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow) -> Load:
-    """Drag on each link, and on the bodies that it carries.
+    """Return the drag on each link and on the bodies that it carries.
 
-    F = -1/2 rho (C_D A) |V| V at each body, with V its velocity relative to the air: that of the
-    link's centre, and what the link's turning adds. C_D A does not depend on the direction, as
-    for a sphere, nor on the Reynolds number.
+    The force on a body is F = -1/2 rho (C_D A) |V| V. Its velocity V relative to the air includes
+    the rotation of the link. C_D A does not depend on the direction, as for a sphere, nor on the
+    Reynolds number.
 
     Arguments:
-        relative: velocity of the links' centres relative to the air, m/s.
+        arm: the arm.
+        here: configuration of the arm.
+        relative: velocity of the link centres relative to the air, m/s.
         omega: angular velocity of the links, rad/s.
-        wind: as of `with_field`.
+        wind: the result of `with_field`.
     """
     load, bodies = _drag_of_links(arm, here, relative, omega, wind), arm.point_masses
     if bodies is None or bodies.drag_area is None:
@@ -112,7 +132,7 @@ def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow) -> Load:
     area = jnp.broadcast_to(bodies.drag_area, carriers.shape)
     size = 0.5 * arm.air.density * area * safe_norm(velocity)
     force = -scaled(size, velocity)
-    # Sums over the bodies of each link, of which it may carry several.
+    # The loads are summed for each link, because a link may carry several bodies.
     carried = np.eye(arm.count, dtype=force.dtype)[carriers]
     couple = cross(lever, force) @ carried
     total = couple if load.couple is None else load.couple + couple
@@ -120,7 +140,7 @@ def drag(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow) -> Load:
 
 
 def _levers(arm: Arm, here: Pose) -> tuple[np.ndarray, Float[Array, "3 body"]]:
-    """The links that carry bodies, from 0 on, and where these are from the links' centres, m."""
+    """Return the indices of links that carry bodies, and vectors from link centres to bodies, m."""
     bodies = arm.point_masses
     assert bodies is not None
     carriers = np.asarray(bodies.links) - 1
@@ -139,7 +159,7 @@ def _levers(arm: Arm, here: Pose) -> tuple[np.ndarray, Float[Array, "3 body"]]:
 
 
 def _gauss(points: int, dtype: Any) -> tuple[Array, Array]:
-    """Gauss points on [-1, 1]; half the weights, which then sum to 1."""
+    """Return the Gauss points on [-1, 1], and weights that are normalised to a sum of 1."""
     gauss, weight = np.polynomial.legendre.leggauss(points)
     places, weights = (jnp.asarray(x, dtype)[:, None] for x in (gauss, weight / 2))
     return places, weights
@@ -162,7 +182,7 @@ def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow
     if law.points == 0:
         return Load(scaled(links.length, law.force(stream)), None)
     places, weights = _gauss(law.points, relative.dtype)
-    # The velocity across the link is linear along it.
+    # The velocity across a link varies linearly along the link.
     lean = scaled(links.length / 2, cross(omega, axis))
     stream = stream.at_places(places[None] * lean[:, None], wind.places)
     pieces = scaled(weights * links.length[None], law.force(stream))
@@ -171,7 +191,7 @@ def _drag_of_links(arm: Arm, here: Pose, relative: Rows, omega: Rows, wind: Flow
 
 
 def lift_force(arm: Arm) -> Rows | None:
-    """Buoyancy of the links at their centres, N; None where it is left out."""
+    """Return the buoyancy of the links at their centres, N; None if buoyancy is disabled."""
     upwards = lift(arm)
     if upwards is None:
         return None
@@ -179,23 +199,25 @@ def lift_force(arm: Arm) -> Rows | None:
 
 
 def across_link(direction: Rows, vector: Rows) -> Rows:
-    """The part of a vector that is normal to each link."""
+    """Return the component of a vector normal to each link."""
     return vector - scaled(dot(direction, vector), direction)
 
 
 def drag_force(
     arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None, time: Any = 0.0
 ) -> Float[Array, "link 3"]:
-    """Drag force of the air on each link, N.
+    """Return the drag force of the air on each link, N.
 
-    With `drag = "centre"`: F_D = -1/2 rho C_D L d |V| V at the link's centre, with V the velocity
-    of the centre relative to the air (paper, eq. 1). With `drag = "strip"`: the sum over the
-    link of what acts across it, and the axial drag. Bodies with a drag of their own add theirs.
+    With `drag = "centre"`, the force is F_D = -1/2 rho C_D L d |V| V at the centre of the link,
+    where V is the velocity of the centre relative to the air (paper, eq. 1). With `drag = "strip"`,
+    it is the integral of the cross-flow drag along the link plus the axial drag. The drag of the
+    bodies that a link carries is included.
 
     Arguments:
-        angles, rates: of the joints, rad and rad/s.
-        wind: of the air in the base frame, m/s; still air by default.
-        time: s, of a wind field.
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        wind: velocity of the air in the base frame, m/s; still air by default.
+        time: time at which a wind field is evaluated, s.
     """
     return drag_in_motion(arm, angles, rates, wind, time)[0].force.T
 
@@ -203,7 +225,7 @@ def drag_force(
 def drag_in_motion(
     arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None, time: Any
 ) -> tuple[Load, Rows, Rows]:
-    """Drag in one state of motion, with the velocities of the links' centres and turns."""
+    """Return drag, velocities of the link centres and angular velocities in one state."""
     here = pose(arm, angles)
     blown = with_field(arm, here, flow(arm, wind, time=time))
     omega = angular_velocities(here, rates)
@@ -212,16 +234,20 @@ def drag_in_motion(
     return drag(arm, here, relative, omega, blown), velocity, omega
 
 
-# Added mass: the air that a link must move out of its way (Kirchhoff).
+# Added mass: the air that a link accelerates in transverse motion (Kirchhoff).
 
 
 class AddedMass(NamedTuple):
-    """The fluid that a link moves: a rod that has inertia across the link alone, kg and kg m^2.
+    """Added mass of the links, modelled as rods that have transverse inertia only.
 
-    A long cylinder with added-mass coefficient C_a moves C_a times the air that it displaces
-    when it moves across itself, and none along itself (Lamb, Hydrodynamics, art. 42; Newman,
-    Marine Hydrodynamics, sec. 4.15). Its kinetic energy is that of this rod, and Kirchhoff's
+    A long cylinder with the added-mass coefficient C_a accelerates C_a times the displaced air in
+    transverse motion, and none in axial motion (Lamb, Hydrodynamics, art. 42; Newman, Marine
+    Hydrodynamics, sec. 4.15). The kinetic energy of the air is that of this rod. Kirchhoff's
     equations follow from it (Lamb, ch. VI).
+
+    Attributes:
+        mass: mass of each rod, kg.
+        inertia: transverse moment of inertia of each rod about its centre, kg m^2.
     """
 
     mass: Float[Array, " link"]
@@ -229,7 +255,7 @@ class AddedMass(NamedTuple):
 
 
 def added_mass(arm: Arm) -> AddedMass | None:
-    """The rods of all links; None where added mass is left out."""
+    """Return the added mass of all links; None if added mass is disabled."""
     if arm.air.added_mass_coefficient is None:
         return None
     mass = arm.air.added_mass_coefficient * arm.air.density * arm.links.volume
@@ -247,19 +273,30 @@ def added_mass_load(
     acceleration: Rows,
     wind: Flow,
 ) -> tuple[Rows, Rows]:
-    """Force and couple of the fluid on each link, from the rate of its impulse.
+    """Return force and couple of the accelerated air on each link, from the rate of its impulse.
 
-    With the impulse P = m (w - (e.w) e) of the fluid at the link's centre, which moves with w
-    through it, and the impulse couple L = J (omega - (e.omega) e), the force is -dP/dt and the
-    couple about the centre -(w x P + dL/dt). A wind that changes in time also carries a pressure
-    gradient, which pushes the displaced volume: rho V du/dt. The centres move with a velocity
-    relative to the air, and an acceleration; the links' directions turn.
+    Let w be the velocity of the link centre relative to the air and e the direction of the link.
+    The impulse of the air is P = m (w - (e.w) e), and its angular impulse is
+    L = J (omega - (e.omega) e). The force is -dP/dt, and the couple about the centre is
+    -(w x P + dL/dt). A wind u that changes with time has a pressure gradient, which exerts the
+    additional force rho V du/dt on the displaced volume V.
+
+    Arguments:
+        arm: the arm.
+        rod: added mass of the links.
+        here: configuration of the arm.
+        relative: velocity of the link centres relative to the air, m/s.
+        turning: rate of change of the link directions, 1/s.
+        omega: angular velocity of the links, rad/s.
+        alpha: angular acceleration of the links, rad/s^2.
+        acceleration: acceleration of the link centres, m/s^2.
+        wind: the result of `with_field`.
     """
     e = here.direction
     through = acceleration - wind.rate
 
     def rate_of_across(vector: Rows, rate: Rows) -> Rows:
-        """d/dt of the part of a vector that is normal to the link."""
+        """Return the rate of change of the component of a vector normal to the link."""
         along = dot(turning, vector) + dot(e, rate)
         return rate - scaled(along, e) - scaled(dot(e, vector), turning)
 

@@ -1,4 +1,4 @@
-"""The arm, the rigid bodies that its links are, and how arms are made: trim and presets."""
+"""The arm model: rigid bodies of the links, `chain`, presets, trim and lift."""
 
 import dataclasses
 from collections import Counter
@@ -44,27 +44,27 @@ from ._parts import (
 from ._pneumatics import Pneumatics, idle_springs, muscles_in
 from ._wind import AbstractWind, as_wind, check_wind
 
-# Frame: x along the straight arm away from the base, z up, y to the left; the origin is joint 1.
-# Joint i precedes link i. Angles are in radians and everything is SI.
+# Base frame: x points along the straight arm away from the base, y to the left and z up. The origin
+# is joint 1. Joint i precedes link i. Angles are in radians, and all units are SI units.
 
 
 class Arm(ShownAsTable, eqx.Module):
     """A chain of links in air, fixed at its base.
 
-    Build one with a preset (`takeichi_20m`), or your own with `chain`. Every array of it may be
-    differentiated, batched and replaced (`giajax.replace`). What is None is left out, and costs
-    nothing.
+    Create an arm with a preset (`takeichi_20m`), or your own arm with `chain`. Every array can be
+    differentiated, batched and replaced (`giajax.replace`). A part that is None is omitted from the
+    model and has no computational cost.
 
     Arguments:
         links: the rigid links.
-        joints: axes, springs and dampers.
-        air: what surrounds the links.
-        buoyancy: helium and trim weights; None where lift and weight are not part of the model.
-        point_masses: bodies fixed to links; None for none.
-        pneumatics: muscles that drive joints, in place of their springs; None where springs do.
-        contact: obstacles around the arm, and how links press against them; None for none.
+        joints: joint axes, springs, dampers and further joint laws.
+        air: the air that surrounds the links.
+        buoyancy: helium and trim weights; None if the model has no buoyancy.
+        point_masses: bodies fixed to links; None for no bodies.
+        pneumatics: muscles that drive joints instead of their springs; None for no muscles.
+        contact: obstacles around the arm, and the contact law; None for no obstacles.
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
-        gravity: along -z, m/s^2.
+        gravity: gravitational acceleration along negative z, m/s^2.
     """
 
     links: Links
@@ -80,7 +80,7 @@ class Arm(ShownAsTable, eqx.Module):
     def __check_init__(self) -> None:
         if len(self.joints.axes) != self.links.count:
             raise InputError(
-                f"{len(self.joints.axes)} joint axes for {self.links.count} links: "
+                f"there are {len(self.joints.axes)} joint axes for {self.links.count} links: "
                 "give one axis for each link"
             )
         if self.point_masses is not None and max(self.point_masses.links) > self.links.count:
@@ -106,20 +106,20 @@ class Arm(ShownAsTable, eqx.Module):
 
     @property
     def spring_stiffness(self) -> Float[Array, " joint"]:
-        """Stiffness of the spring of each joint about its command, N m/rad; 0 with muscles."""
+        """Stiffness of the spring of each joint, N m/rad; 0 in joints with muscles."""
         own = () if self.pneumatics is None else self.pneumatics.joints
         driven = np.isin(np.arange(self.count) + 1, np.asarray(own))
         return jnp.where(driven, 0, self.joints.stiffness) if own else self.joints.stiffness
 
     @property
     def joint_laws(self) -> JointLaws:
-        """What acts in the joints: springs, dampers, hysteresis, more laws, and muscles."""
+        """All joint laws: springs, dampers, hysteresis, further laws, and muscles."""
         laws = (*self.joints.dampers, *self.further_laws.laws)
         return JointLaws((Spring(self.spring_stiffness), *laws))
 
     @property
     def further_laws(self) -> JointLaws:
-        """What acts beside springs and dampers, and has all states: of `joints`, and muscles."""
+        """The laws of `joints` and muscles except springs and dampers; only these have states."""
         muscles = () if self.pneumatics is None else (self.pneumatics.in_links(self.links),)
         return JointLaws((*self.joints.further_laws.laws, *muscles))
 
@@ -136,7 +136,7 @@ class Arm(ShownAsTable, eqx.Module):
             "mass": f"{_in_text(mass)} kg, without helium and trim weights",
             "joints": ", ".join(f"{count} {name}" for name, count in axes.items()),
             "joint laws": ", ".join(dict.fromkeys(type(law).__name__ for law in laws)),
-            "drag": f"{drag}, in air of {_in_text(self.air.density)} kg/m^3",
+            "drag": f"{drag}, in air of density {_in_text(self.air.density)} kg/m^3",
         }
         others = {
             "helium": self.buoyancy,
@@ -158,17 +158,17 @@ PerLink = Float[Array, " link"]
 
 
 class Bodies(NamedTuple):
-    """The rigid body that each link is, with all that it carries.
+    """Each link with everything that it carries, as a rigid body.
 
     Attributes:
-        mass: kg.
-        along: distance of the centre of mass from the joint, along the link, m.
-        transverse, axial: moments of inertia about the centre of mass of a body that is round
-            about the link's axis, kg m^2.
-        across: the centre of mass to the left of and above the link's axis, m; None where
-            everything lies on the axis.
-        uneven: what the inertia has beyond the round body: xx, yy, zz, xy, xz, yz in the link's
-            frame, kg m^2; None where everything lies on the axis.
+        mass: mass, kg.
+        along: distance of the centre of mass from the joint along the link, m.
+        transverse, axial: moments of inertia about the centre of mass of an axisymmetric body,
+            kg m^2.
+        across: coordinates of the centre of mass to the left of and above the link axis, m; None if
+            all masses lie on the axis.
+        uneven: inertia in addition to that of the axisymmetric body: xx, yy, zz, xy, xz, yz in the
+            frame of the link, kg m^2; None if all masses lie on the axis.
     """
 
     mass: PerLink
@@ -187,7 +187,7 @@ class _Point(NamedTuple):
 
 
 def bodies(arm: Arm) -> Bodies:
-    """The bodies of an arm's links, their own structure, helium, trim weights and point masses."""
+    """Return the rigid bodies of the links, with helium, trim weights and point masses."""
     links = arm.links
     transverse, axial = links.inertia_transverse, links.inertia_axial
     points = _points(arm)
@@ -196,7 +196,7 @@ def bodies(arm: Arm) -> Bodies:
     points = [_Point(links.mass, links.centre_of_mass), *points]
     if arm.buoyancy is not None:
         helium = arm.buoyancy.helium_density * links.volume
-        # A uniform cylinder of gas, which does not take part in a spin about its own axis.
+        # The helium is a uniform cylinder that does not follow the rotation about its own axis.
         transverse = transverse + helium * (links.length**2 / 12 + links.diameter**2 / 16)
     mass = sum((point.mass for point in points), jnp.zeros_like(links.mass))
     along = sum((point.mass * point.x for point in points), jnp.zeros_like(mass)) / mass
@@ -219,7 +219,7 @@ def bodies(arm: Arm) -> Bodies:
 
 
 def _points(arm: Arm) -> list[_Point]:
-    """Point masses in the frame of each link, as rows over all links."""
+    """Return point masses in the frames of the links, with one value per link in each array."""
     count, points = arm.count, []
 
     def row(value: Array) -> PerLink:
@@ -232,7 +232,7 @@ def _points(arm: Arm) -> list[_Point]:
         points.append(_Point(row(held.trim_mass), row(held.trim_position), None, depth))
     if arm.point_masses is not None:
         fixed = arm.point_masses
-        # In groups in which no link is named twice.
+        # Each link may carry several bodies. Split them into groups with at most one per link.
         turns = np.asarray([fixed.links[:i].count(link) for i, link in enumerate(fixed.links)])
         for turn in range(max(turns) + 1):
             which = np.flatnonzero(turns == turn)
@@ -248,7 +248,7 @@ def _points(arm: Arm) -> list[_Point]:
 
 
 def lift(arm: Arm) -> PerLink | None:
-    """Force of the air on each link at its centre, upwards, N; None without buoyancy."""
+    """Return the upward buoyancy force on each link at its centre, N; None without buoyancy."""
     if arm.buoyancy is None:
         return None
     upwards = arm.air.density * arm.links.volume * arm.gravity
@@ -258,12 +258,13 @@ def lift(arm: Arm) -> PerLink | None:
 
 
 def net_lift(arm: Arm) -> Float[Array, " link"]:
-    """Mass that each link could still carry, kg: displaced air less all that moves with it.
+    """Return the mass that each link can still carry, kg.
 
-    Negative where a link is too heavy to float.
+    This is the mass of the displaced air minus the mass of the link and all that it carries. It is
+    negative if a link is too heavy to float.
 
     Raises:
-        InputError: the arm leaves buoyancy out.
+        InputError: the arm has no buoyancy.
     """
     if arm.buoyancy is None:
         raise InputError("this arm has no buoyancy: build it with buoyancy=True")
@@ -271,15 +272,19 @@ def net_lift(arm: Arm) -> Float[Array, " link"]:
 
 
 def trimmed(arm: Arm, *, level: bool = False) -> Arm:
-    """The arm with the trim weights that make each link float, in place of those that it has.
+    """Return the arm with trim weights that make each link neutrally buoyant.
+
+    They replace the trim weights of the arm.
 
     Arguments:
-        level: also hang them where each link floats level: its centre of mass is then at the
-            same distance along the link as its lift. Otherwise they hang where they are.
+        arm: the arm.
+        level: whether to place the weights so that each link floats horizontally, with its centre
+            of mass at the same position along the link as its lift. Otherwise, the positions of the
+            weights remain unchanged.
 
     Raises:
-        InputError: it leaves buoyancy out, a link is too heavy to float, or its weight would
-            hang beyond its ends.
+        InputError: the arm has no buoyancy, a link is too heavy to float, or a weight would have to
+            be placed outside its link.
     """
     if arm.buoyancy is None:
         raise InputError("this arm has no buoyancy: build it with buoyancy=True")
@@ -289,7 +294,7 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
         link = int(np.argmin(np.asarray(weights))) + 1
         raise InputError(
             f"link {link} is {-float(weights[link - 1]):.3g} kg too heavy to float, so no trim "
-            "weight balances it: make the link lighter or larger"
+            "weight can balance it: make the link lighter or larger"
         )
     changes = {"trim_mass": weights}
     if level:
@@ -298,17 +303,18 @@ def trimmed(arm: Arm, *, level: bool = False) -> Arm:
 
 
 def _level(arm: Arm, bare: Buoyancy, weights: Float[Array, " link"]) -> Float[Array, " link"]:
-    """Where the weights hang, so that mass and displaced air balance about every point."""
+    """Return the positions of the trim weights at which mass and displaced air are in balance."""
     length = arm.links.length
     other = bodies(dataclasses.replace(arm, buoyancy=bare))
     moment = other.mass * (length / 2 - other.along)
-    # Without a weight there is no place for it, and no moment that it could balance.
+    # A weight of 0 balances no moment, so its position is the centre of the link.
     place = length / 2 + moment / jnp.where(weights > 0, weights, jnp.inf)
     if is_concrete(place) and np.any(np.asarray((place < 0) | (place > length))):
         link = int(np.argmax(np.asarray(abs(place - length / 2) - length / 2))) + 1
         raise InputError(
-            f"link {link} floats level only with its trim weight {float(place[link - 1]):.3g} m "
-            f"along a link of {float(length[link - 1]):.3g} m: give buoyancy.trim_position"
+            f"link {link} would float level only with a trim weight at "
+            f"{float(place[link - 1]):.3g} m along its axis, which is outside the link of "
+            f"{float(length[link - 1]):.3g} m: give buoyancy.trim_position"
         )
     return place
 
@@ -344,48 +350,55 @@ def chain(
     contact: Contact | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> Arm:
-    """Build an arm of your own.
+    """Create your own arm.
 
-    What has no neutral value must be given: length, diameter, mass, `joint_axes`, and among the
-    parameters `joints.pitch_stiffness` and `joints.yaw_stiffness` of joints that springs drive, and
-    `joints.damping` (0 is a value). All else is absent, or as here.
+    Values without a neutral default must be given: length, diameter, mass, `joint_axes`, and among
+    the parameters `joints.damping` (which may be 0) and, if springs drive such joints,
+    `joints.pitch_stiffness` and `joints.yaw_stiffness`. Everything else is absent by default or has
+    the default value given here.
 
     Arguments:
-        length, diameter, mass: of a link, m and kg; a number for all links or one per link.
-        centre_of_mass: from the link's joint along the link, m; half the length by default.
-        inertia_transverse, inertia_axial: about the centre of mass, kg m^2; those of a
-            thin-walled tube of the link's mass, length and diameter by default.
-        inertia: in place of these two, of a link that is not round about its axis: xx, yy, zz, xy,
-            xz, yz in the link's frame (x along it, z up in the straight arm), about its centre of
-            mass, kg m^2, shape (6,) or (link, 6). Such a link is its mass in six points.
+        links: number of links.
+        length, diameter, mass: length, m, diameter, m, and mass, kg, of the links; one number for
+            all links, or one for each link.
+        centre_of_mass: distance of the centre of mass from the joint along the link, m; half of the
+            length by default.
+        inertia_transverse, inertia_axial: moments of inertia about the centre of mass, kg m^2; by
+            default those of a thin-walled tube with the mass, length and diameter of the link.
+        inertia: inertia of links that are not axisymmetric, instead of the two moments above: xx,
+            yy, zz, xy, xz, yz about the centre of mass in the frame of the link (x along the link,
+            z up in the straight arm), kg m^2, shape (6,) or (link, 6). The mass of such a link is
+            represented by six point masses.
         joint_axes: "pitch_yaw", or for each joint "pitch", "yaw" or a vector.
         base_rotation: rotation vector of the straight arm, rad, shape (3,).
-        gravity: along -z, m/s^2; 0 where buoyancy balances weight.
-        air_density: kg/m^3; that of air at 20 C by default.
-        drag: a word of `Air`, a law of drag, or the name of a registered one (`giajax.register`).
-        strip_points, drag_curve, added_mass: as of `Air`.
-        joint_laws: laws of the joints beside springs, dampers and hysteresis, or their names:
-            "hardening", "end_stops", or that of a registered one.
-        wind_field: a wind that is a function of place and time (`with_wind`), or the name of a
-            registered one; none by default.
-        buoyancy: whether displaced air, helium and trim weights count; without gravity only
-            their masses do.
-        trim: hang the trim weights that make each link float, and float level unless
-            `buoyancy.trim_position` is among `parameters`.
+        gravity: gravitational acceleration along negative z, m/s^2; 0 if buoyancy balances the
+            weight.
+        air_density: density of the air, kg/m^3; by default that of air at 20 C.
+        drag: a drag option of `Air`, a drag law, or the name of a registered law
+            (`giajax.register`).
+        strip_points, drag_curve, added_mass: see `Air`.
+        joint_laws: joint laws in addition to springs, dampers and hysteresis, or their names:
+            "hardening", "end_stops", or the name of a registered law.
+        wind_field: a wind as a function of position and time (`with_wind`), or the name of a
+            registered wind; none by default.
+        buoyancy: whether the model includes displaced air, helium and trim weights; without
+            gravity, only their masses have an effect.
+        trim: whether to add trim weights that make each link neutrally buoyant. Each link then
+            floats horizontally, unless `parameters` contains `buoyancy.trim_position`.
         point_masses: bodies fixed to links, such as a camera at the tip.
-        muscles: joints that pairs of muscles drive in place of springs: "pitch", "all" or their
-            numbers from 1 on; none by default.
-        pair: the joint and the law of its muscles, the same in each; by default braided muscles,
+        muscles: joints driven by pairs of muscles instead of springs: "pitch", "all" or a list of
+            joint numbers, starting from 1; none by default.
+        pair: joint and muscle law, the same for all joints with muscles; by default braided muscles
             with corrections that are blended over 1 deg about 0.
-        contact: obstacles around the arm, and how links press against them; none by default.
-        parameters: values of any parameters by path, SI (`giajax parameters` lists them); one
-            that is left out by default, such as `air.added_mass_coefficient`, is switched on.
-            C_D is 1 by default.
+        contact: obstacles around the arm, and the contact law; none by default.
+        parameters: values of parameters by path, in SI units (`giajax parameters` lists the paths).
+            A parameter that is disabled by default, such as `air.added_mass_coefficient`, is
+            enabled. C_D is 1 by default.
 
     Raises:
-        InputError: a value that is missing, a pair without joints, a list whose length is not the
-            number of links, a number that is not finite or, where physics needs it, not positive,
-            an unknown path or choice, a link that is too heavy to float.
+        InputError: a required value is missing, a pair is given without joints, a list does not
+            have one value for each link, a number is not finite or not positive although it must
+            be, a path or choice is unknown, or a link is too heavy to float.
 
     Example:
         >>> import giajax
@@ -404,18 +417,19 @@ def chain(
     """
     if pair is not None and muscles is None:
         raise InputError(
-            'a law of muscles is given, but no joint has muscles: give muscles="pitch" as well'
+            'a muscle law is given, but no joint has muscles: give muscles="pitch" as well'
         )
     if links < 1:
         raise InputError(f"an arm of {links} links cannot be built: give at least 1")
     values = dict(parameters or {})
-    # Without axes nothing is built: their absence is named with all that is missing.
+    # These axes are a placeholder if none are given. `_check_stated` then reports that they are
+    # missing, together with all other missing values.
     axes = named_axes("pitch_yaw" if joint_axes is None else joint_axes, links)
     joints = Joints(axes=axes, laws=_laws_of(joint_laws))
     pneumatics = None if muscles is None else muscles_in(muscles, pair, joints)
     idle = idle_springs(joints, pneumatics)
     given = {"links.length": length, "links.diameter": diameter, "links.mass": mass}
-    # A size among the parameters is one as the argument is: inertias follow from it.
+    # A dimension in `parameters` has the same effect as the argument, including on the inertias.
     given = {path: values.pop(path, None) if one is None else one for path, one in given.items()}
     length, diameter, mass = given.values()
     _check_stated({**values, **given}, joint_axes, idle)
@@ -428,12 +442,13 @@ def chain(
         array = np.asarray(value, dtype=float)
         if array.shape not in ((), (1,), (links,)):
             raise InputError(
-                f"{name} has {array.size} values for {links} links: give one number, or {links}"
+                f"{name} has {array.size} values for {links} links: give one number, or {links} "
+                "numbers"
             )
         if not np.all(np.isfinite(array)) or not np.all(array > declared.lower):
             raise InputError(
-                f"{name} is out of bounds: "
-                f"give finite numbers greater than {declared.lower:g} {declared.unit}"
+                f"{name} is out of bounds: give finite numbers greater than "
+                f"{declared.lower:g} {declared.unit}"
             )
         return np.broadcast_to(array, (links,))
 
@@ -456,14 +471,14 @@ def chain(
     if isinstance(drag, AbstractDragLaw):
         law = drag
     elif drag not in DRAGS:
-        # Entry points are looked up in the metadata of all packages: not for each arm.
+        # This searches the metadata of all packages for entry points, so it is done only if needed.
         law = law_named(AbstractDragLaw.registered_as, drag)
     if law is not None:
         if (strip_points, drag_curve) != (3, "constant"):
             raise InputError(
-                "strip_points and drag_curve apply only to the drag laws of giajax: remove them"
+                "strip_points and drag_curve apply only to the built-in drag laws: remove them"
             )
-        # The coefficient of eq. (1) is at its bound, so that no fit frees it.
+        # The coefficient of eq. (1) is set to its bound, so that no fit frees it.
         air |= {"drag": "centre", "law": law, "drag_coefficient": 0.0}
     air |= {} if air_density is None else {"density": air_density}
     arm = Arm(
@@ -503,7 +518,7 @@ def chain(
             )
         check_drag_law(arm.air.drag_law, links)
     for each in arm.joints.laws.values():
-        # Those of giajax are tried in its tests.
+        # The laws that giajax provides are tested in its test suite.
         if not type(each).__module__.startswith("giajax."):
             check_joint_law(each, links)
     if pneumatics is not None:
@@ -512,24 +527,26 @@ def chain(
 
 
 def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
-    """The arm in a wind that is a function of place and time, in place of one that it has.
+    """Return the arm with a wind that is a function of position and time.
 
-    It is beside the wind of a run, and `air.wind`.
+    It replaces the wind field of the arm. It is added to the wind of a run and to `air.wind`.
 
     Arguments:
-        wind: of positions in the base frame, m, shape (..., 3), and a time, s, the velocity of the
-            air there, m/s, of the same shape: a plain def or lambda, whose globals keep
-            their first values in a process (as in `jax.jit`), an instance of a class of
-            `AbstractWind`, or the name of a registered one.
+        arm: the arm.
+        wind: a function of positions in the base frame, m, shape (..., 3), and a time, s, that
+            returns the velocity of the air there, m/s, in the same shape. It is a plain def or
+            lambda, an instance of a class of `AbstractWind`, or the name of a registered wind. As
+            with `jax.jit`, the globals of a plain function keep their first values in a process.
 
     Raises:
-        InputError: as of `check_wind`, at the links of the straight arm; or nothing has that name.
+        InputError: `check_wind` finds an error at the links of the straight arm, or no wind is
+            registered under the name.
     """
     field: Any = wind
     if isinstance(wind, str) and (field := law_named(AbstractWind.registered_as, wind)) is None:
         raise InputError(f"there is no registered wind {wind!r}: register it, or correct the name")
     field = as_wind(field)
-    # From the first joint to the tip, in the direction of the straight arm.
+    # The positions of all joints and of the tip of the straight arm.
     ends = jnp.concatenate([jnp.zeros_like(arm.links.length[:1]), jnp.cumsum(arm.links.length)])
     turn = rotation_vector_to_quaternion(arm.base_rotation)
     straight = jnp.zeros((3, arm.count + 1), ends.dtype).at[0].set(ends)
@@ -538,7 +555,7 @@ def with_wind(arm: Arm, wind: str | AbstractWind | Callable[..., Any]) -> Arm:
 
 
 def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float]) -> None:
-    """Refuse a user's arm without what has no neutral value."""
+    """Check that all values without a neutral default are given."""
     missing = [
         each.path if each.key is None else f"{each.path} ({each.key.name})"
         for each in NO_NEUTRAL
@@ -547,15 +564,13 @@ def _check_stated(values: Mapping[str, Any], axes: Any, idle: Mapping[str, float
     missing += ["joint_axes"] if axes is None else []
     if missing:
         raise InputError(
-            f"this arm lacks {', '.join(missing)}: state these values (joints.* in "
-            f"[arm.parameters] of a file; 0 is valid there), or start from"
-            " a preset, such as "
-            "takeichi_20m"
+            f"this arm lacks {', '.join(missing)}: give these values (in a file, joints.* in "
+            "[arm.parameters], where 0 is permitted), or start from a preset, such as takeichi_20m"
         )
 
 
 def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointLaw]:
-    """Laws of joints by name, in its order, as JAX has it."""
+    """Return joint laws by name, sorted by name as JAX sorts the keys of a dictionary."""
     named: dict[str, AbstractJointLaw] = {}
     if isinstance(laws, str | AbstractJointLaw) or not isinstance(laws, Sequence):
         raise InputError(f"joint_laws is {laws!r}: give a list of names or instances of laws")
@@ -570,9 +585,9 @@ def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointL
         name, kind = name_of(type(law)), type(law)
         if kind.__module__ == AbstractJointLaw.__module__ and registered("joint", name) is not kind:
             raise InputError(
-                f"{name} is a law that parameters of the joints switch on: give these parameters, "
-                f"such as "
-                "joints.pitch_stiffness or joints.memory.strength, or derive your own class"
+                f"the law {name} is switched on by parameters of the joints: give these "
+                "parameters, such as joints.pitch_stiffness or joints.memory.strength, or derive "
+                "your own class"
             )
         if name in named:
             raise InputError(
@@ -582,7 +597,7 @@ def _laws_of(laws: Sequence[str | AbstractJointLaw]) -> dict[str, AbstractJointL
     return dict(sorted(named.items()))
 
 
-# What of a link has no argument of its own, and is an array.
+# Fields of `Links` that are arrays and have no argument of `chain`.
 _OTHERS = [
     name
     for name in Links.__dataclass_fields__
@@ -591,7 +606,7 @@ _OTHERS = [
 
 
 def _tensors(inertia: Any, links: int) -> np.ndarray:
-    """Matrices of inertia, shape (link, 3, 3), of six numbers for all links or each."""
+    """Return inertia matrices, shape (link, 3, 3), from six numbers for all links or for each."""
     array = np.asarray(inertia, dtype=float)
     if array.shape not in ((6,), (links, 6)) or not np.all(np.isfinite(array)):
         raise InputError(
@@ -617,17 +632,22 @@ def _with_parameters(arm: Arm, values: Mapping[str, Any]) -> Arm:
                 + (f", or {allowed[-1][0]} numbers" if allowed[-1] else "")
             )
         arm = parameter.set(arm, array)
-    # Numbers of elements came one after the other.
+    # Parameters with a variable number of elements were set one after the other, so their shapes
+    # are consistent only now.
     return checked(arm)
 
 
 def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
-    """The 20 m, 20-link helium-balloon arm of Takeichi, Suzumori, Endo and Nabae.
+    """Return the 20 m, 20-link helium-balloon arm of Takeichi, Suzumori, Endo and Nabae.
 
-    Alternating pitch and yaw joints, links of 0.99 m, 0.30 m and 0.047 kg (table 2), drag by
-    eq. (1), no gravity because trim weights balance the buoyancy. Stiffnesses, damping and C_D
-    are assumed: the paper gives none, and finding them is a fit's job. `changes` are arguments of
-    `chain`, which has none of these numbers.
+    The arm has alternating pitch and yaw joints. Its links have a length of 0.99 m, a diameter of
+    0.30 m and a mass of 0.047 kg (table 2). Drag is computed by eq. (1). There is no gravity,
+    because trim weights balance the buoyancy. Stiffnesses, damping and C_D are assumed, because the
+    paper does not give them. They are to be estimated by a fit.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain` that replace these values.
 
     Example:
         >>> import giajax
@@ -645,11 +665,15 @@ def takeichi_20m(links: int = 20, **changes: Any) -> Arm:
 
 
 def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
-    """The same arm with the air that the paper leaves out.
+    """Return the arm of `takeichi_20m` with the air effects that the paper neglects.
 
-    Cross-flow drag along the links with C_D by Reynolds number, added mass, gravity and
-    buoyancy, trim weights that make each link float level and hang 0.15 m below its axis, and
-    the camera of 3 g at the tip.
+    These are cross-flow drag along the links with C_D as a function of the Reynolds number, added
+    mass, gravity and buoyancy. Trim weights 0.15 m below the link axes make each link float
+    horizontally. The tip carries the camera of 3 g.
+
+    Arguments:
+        links: number of links.
+        changes: arguments of `chain` that replace these values.
     """
     extras = {AIR.added_mass_coefficient.path: AIR.added_mass_coefficient.default}
     if changes.get("drag", "strip") == "strip":
@@ -674,10 +698,15 @@ def takeichi_20m_full(links: int = 20, **changes: Any) -> Arm:
 
 
 def pendulum(links: int = 1, **changes: Any) -> Arm:
-    """A pendulum of thin rods that hang down, in a plane, without springs, damping and air.
+    """Return a planar pendulum of thin rods that hang down, without springs, damping and air.
 
-    Rods of 1 m, 2 cm and 1 kg; all joints have the same axis, and all angles are 0 where the
-    pendulum hangs at rest. Free the damping, or give what is known of it.
+    The rods have a length of 1 m, a diameter of 2 cm and a mass of 1 kg. All joints have the same
+    axis, and all angles are 0 when the pendulum hangs at rest. In a fit, free the damping, or set
+    it to a known value.
+
+    Arguments:
+        links: number of rods.
+        changes: arguments of `chain` that replace these values.
 
     Example:
         >>> import giajax
@@ -703,20 +732,25 @@ PRESETS: dict[str, Callable[..., Arm]] = {
     "pendulum": pendulum,
     "chain": chain,
 }
-"""Presets by name; each takes the number of links and the arguments of `chain`."""
+"""Presets by name. Each takes the number of links and the arguments of `chain`."""
 
 
 def preset(name: str, links: int | None = None, **changes: Any) -> Arm:
-    """The preset of a name, changed by arguments of `chain`.
+    """Return the arm of a named preset, with changes.
+
+    Arguments:
+        name: name of the preset.
+        links: number of links; by default that of the preset.
+        changes: arguments of `chain` that replace the values of the preset.
 
     Raises:
-        InputError: there is no such preset, or it has no number of links of its own.
+        InputError: there is no such preset, or the number of links is unknown.
     """
     if name not in PRESETS:
         raise InputError(f"there is no arm preset '{name}': use one of {', '.join(PRESETS)}")
     if links is None and name == "chain":
         raise InputError(
-            "the number of links of this arm is unknown: state links, or a list with one value "
+            "the number of links of this arm is unknown: give links, or a list with one value "
             "for each link"
         )
     return PRESETS[name](**changes) if links is None else PRESETS[name](links, **changes)

@@ -1,4 +1,4 @@
-"""Contact of inflated links with obstacles: where they meet, forces, energy and stiffness."""
+"""Contact of inflated links with obstacles: geometry, forces, energy and stiffness."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
@@ -22,20 +22,35 @@ Numbers = Float[Array, "pair point"]
 
 
 class Pairs(NamedTuple):
-    """Which links are looked at beside which boxes, counted from 0."""
+    """Pairs of a link and a box that may be in contact, with indices from 0.
+
+    Attributes:
+        link: index of the link of each pair.
+        box: index of the box of each pair.
+    """
 
     link: Int[Array, " pair"]
     box: Int[Array, " pair"]
 
 
 class Meeting(NamedTuple):
-    """Points along the links' axes that are nearer to a box than the radius.
+    """Contact of links with boxes, at quadrature points on the link axes.
 
-    The force is the derivative of the energy as it is computed, however few the points: a link
-    that is let go has the energy that it took to press it. Forces and couples (about the links'
-    joints) are elastic ones, N and N m; each point stands for its `load`, N. `normal` is away from
-    the box, `distance` that of the axis from the surface, `depth` what the radius has more, m;
-    `closing` is how fast that grows, `sliding` how the link's skin moves along the surface, m/s.
+    The elastic force is the derivative of the energy as computed by the quadrature. Energy is
+    therefore conserved when a link is pressed and released, even with few points.
+
+    Attributes:
+        link: index of the link of each pair.
+        energy: elastic energy of all contacts, J.
+        force: elastic force on the link of each pair, N.
+        couple: elastic couple on this link about its joint, N m.
+        place: positions of the points on the link axis, m.
+        normal: unit vectors away from the box at the points.
+        distance: distance of the axis from the surface of the box, m.
+        depth: radius minus distance, at least 0, m.
+        load: elastic force that each point represents, N.
+        closing: rate of decrease of the distance, m/s.
+        sliding: velocity of the skin of the link along the surface, m/s.
     """
 
     link: Int[Array, " pair"]
@@ -51,12 +66,12 @@ class Meeting(NamedTuple):
     sliding: Points
 
     def of_links(self, x: Float[Array, "row pair"], links: int) -> Float[Array, "row link"]:
-        """Sums over the pairs of each of so many links."""
+        """Return the sum over the pairs of each link, for the given number of links."""
         return x @ jax.nn.one_hot(self.link, links, dtype=x.dtype)
 
 
 def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pairs) -> Meeting:
-    """How links of an arm meet boxes in one state."""
+    """Compute the contact of the links of an arm with boxes in one state."""
     lines, frame = _lines(arm, contact, here, pairs)
     places, sizes = np.polynomial.legendre.leggauss(contact.points)
     nodes, weights = (jnp.asarray(x / 2, lines.start.dtype) for x in (1 + places, sizes))
@@ -66,10 +81,10 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
         return pieces.reshape(len(pieces), -1)
 
     def flattened(start: Array, direction: Array) -> tuple[Scalar, tuple[Array, ...]]:
-        """Energy, and the points that it is a sum of."""
+        """Return the energy, and the quadrature points from which it is computed."""
         moved = lines._replace(start=start, direction=direction)
         found = patches(moved)
-        # Three pieces, in each of which the distance is smooth.
+        # There are three pieces, and the distance is smooth in each of them.
         wide = jnp.diff(found.knots, axis=0).T[:, :, None]
         at = flat(found.knots[:-1].T[:, :, None] + wide * nodes[None, None])
         near = _look(moved, at)
@@ -107,10 +122,12 @@ def meeting(arm: Arm, contact: Contact, here: Pose, rates: PerJoint, pairs: Pair
 
 
 def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Array, " pair"]:
-    """By how much the axes of links are nearer to boxes than their radius, m, at the most.
+    """Return the largest flattening of links by boxes, m.
 
-    Outside a box that is at the nearest place. Inside, the distance is the largest of those to six
-    planes: convex, and lowest where two of them are alike, or at an end.
+    The flattening is the radius of the link minus the distance of its axis from the box. If the
+    axis is outside the box, the distance is smallest at the nearest position. Inside, the distance
+    is the maximum of the signed distances from six planes. It is convex, and smallest where two of
+    these distances are equal, or at an end.
     """
     lines, _ = _lines(arm, contact, here, pairs)
     found = patches(lines)
@@ -126,32 +143,36 @@ def flattening(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> Float[Ar
 
 
 def clearance(arm: Arm, angles: PerJoint) -> Float[Array, "link box"]:
-    """Distances of the skin of links from the boxes of obstacles, m; negative where it is beyond.
+    """Return the distances of the skin of links from the boxes of obstacles, m.
 
-    The box of a plane is that half space, and an opening has eight boxes around it. An axis that
-    is within a box is as deep as it is half-way through, which need not be the deepest.
+    A distance is negative if the link penetrates the box. The box of a plane is the half space, and
+    an opening is surrounded by eight boxes. If the axis of a link passes through a box, the
+    distance is evaluated in the middle of the part inside, which need not be the deepest point.
 
     Arguments:
-        angles: of the joints, rad.
+        arm: the arm.
+        angles: joint angles, rad.
 
     Raises:
-        InputError: an arm with nothing around it.
+        InputError: the arm has no obstacles.
     """
     if arm.contact is None:
-        raise InputError("the arm has no obstacles to keep clear of: add obstacles")
+        raise InputError("the arm has no obstacles, so it has no clearance: add obstacles")
     boxes = len(owners(arm.contact.obstacles))
     link, box = (grid.ravel() for grid in jnp.indices((arm.count, boxes)))
     lines, _ = _lines(arm, arm.contact, pose(arm, angles), Pairs(link, box))
-    # A link that is beyond a shared face is near the box, too; nobody leaves a box through one.
+    # Find the nearest position as if no face were shared, because a link beyond a shared face is
+    # also near the box. The distance below excludes shared faces, because a link cannot leave a box
+    # through them.
     alone = lines._replace(shared=jnp.zeros_like(lines.shared))
-    # To first order the distance does not depend on the nearest place.
+    # To first order, the distance does not depend on the nearest position.
     near = jax.lax.stop_gradient(patches(alone).nearest)
     distance = _look(lines, near[:, None]).distance[:, 0] - lines.radius
     return distance.reshape(arm.count, boxes)
 
 
 def in_reach(arm: Arm, contact: Contact, here: Pose) -> Bool[Array, "link box"]:
-    """Whether links are so near to boxes that they might touch: a quick look from afar."""
+    """Return whether links may be in contact with boxes, from an inexpensive upper bound."""
     arm, contact, here = jax.lax.stop_gradient((arm, contact, here))
     boxes = solids(contact.obstacles)
     beside = here.centre[:, :, None] - boxes.centre[:, None]
@@ -162,7 +183,7 @@ def in_reach(arm: Arm, contact: Contact, here: Pose) -> Bool[Array, "link box"]:
 
 
 def _lines(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> tuple[Lines, Array]:
-    """Axes of links in the frames of boxes, and these frames."""
+    """Return the axes of links in the frames of boxes, and these frames."""
     boxes, links = solids(contact.obstacles), arm.links
     frame = boxes.frame[:, :, pairs.box]
     back = jnp.swapaxes(frame, 0, 1)
@@ -174,7 +195,7 @@ def _lines(arm: Arm, contact: Contact, here: Pose, pairs: Pairs) -> tuple[Lines,
 
 
 def _turned(frame: Float[Array, "3 3 pair"], x: Float[Array, "3 pair *point"]) -> Array:
-    """Vectors in the base frame, from those in the frames of boxes."""
+    """Transform vectors from the frames of boxes to the base frame."""
     return jnp.sum(frame.reshape(*frame.shape, *(1,) * (x.ndim - 2)) * x[None], axis=1)
 
 
@@ -185,12 +206,16 @@ def _look(lines: Lines, places: Numbers) -> Nearest:
 
 T = TypeVar("T")
 
-_FEW = 24  # pairs of links and boxes that are looked at together where no more are near each other
+_FEW = 24  # number of pairs in the small arrays, which are used if no more pairs are near
 
 
 class Touch(NamedTuple):
-    """What obstacles do to an arm in one state: torques of the joints (N m), how fast the stretch
-    of each link's skin grows while it sticks (m/s), and the force that presses each link (N).
+    """Effect of obstacles on an arm in one state.
+
+    Attributes:
+        torque: joint torques due to contact, N m.
+        slip: rate of the stretch of the skin of each link while it sticks, m/s.
+        normal: total normal force on each link, N.
     """
 
     torque: PerJoint
@@ -201,14 +226,15 @@ class Touch(NamedTuple):
 def touch(
     arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Touch:
-    """Torques of contact, and what the states of its friction need.
+    """Return the joint torques due to contact, and the inputs of the friction states.
 
-    Derivatives are those of the penalty; at first touch, where it begins with a kink in the force,
-    they are those of an arm that does not touch.
+    Derivatives are those of the penalty force. At first contact, where the force has a kink, they
+    are those of an arm without contact.
 
     Arguments:
-        angles, rates: of the joints, rad and rad/s.
-        strain: stretch of the links' skin, m, where contact has friction; none by default.
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        strain: stretch of the skin of the links, m, if contact has friction; none by default.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)
@@ -218,11 +244,12 @@ def touch(
 def contact_energy(
     arm: Arm, angles: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Scalar:
-    """Energy of flattened links and stretched skin, J; 0 without obstacles.
+    """Return the energy of flattened links and of stretched skin, J; 0 without obstacles.
 
     Arguments:
-        angles: of the joints, rad.
-        strain: stretch of the links' skin, m, where contact has friction; none by default.
+        arm: the arm.
+        angles: joint angles, rad.
+        strain: stretch of the skin of the links, m, if contact has friction; none by default.
     """
     if arm.contact is None:
         return jnp.zeros(())
@@ -235,9 +262,10 @@ def contact_energy(
 
 
 def of_near(arm: Arm, contact: Contact, here: Pose, of: Callable[[Pairs], T]) -> T:
-    """What `of` makes of the pairs of links and boxes that are near each other.
+    """Return the value of a function of those pairs of links and boxes that are near each other.
 
-    Seldom are they many: the arrays of most states are short.
+    Such pairs are usually few, so short arrays are used if possible. Pairs that are not near each
+    other may be among the arguments of `of`.
     """
     near = in_reach(arm, contact, here)
     every = Pairs(*(jnp.asarray(index.ravel()) for index in np.indices(near.shape)))
@@ -250,7 +278,7 @@ def of_near(arm: Arm, contact: Contact, here: Pose, of: Callable[[Pairs], T]) ->
         chosen = jax.lax.top_k(near.ravel().astype(jnp.int32), _FEW)[1]
         return of(Pairs(every.link[chosen], every.box[chosen]))
 
-    # In a batch, all take the way of the one that has most.
+    # In a batch, the element with the largest number of pairs determines the branch for all.
     count = eqxi.unvmap_max(jnp.sum(near))
     branches = [none, few, lambda: of(every)] if near.size > _FEW else [none, lambda: of(every)]
     which = (count > 0).astype(jnp.int32) + (count > _FEW).astype(jnp.int32)
@@ -258,14 +286,22 @@ def of_near(arm: Arm, contact: Contact, here: Pose, of: Callable[[Pairs], T]) ->
 
 
 def pressing(contact: Contact, met: Meeting) -> Numbers:
-    """Normal forces at the points of a meeting, N."""
+    """Return the normal forces at the points of a contact, including damping, N."""
     return met.load * larger(1 + contact.damping * met.closing, 0)
 
 
 def friction_force(
     contact: Contact, met: Meeting, normal: Numbers, total: Float[Array, " link"], strain: Rows
 ) -> Points:
-    """Friction at points, in proportion to the normal forces there, N; `total`: those of links."""
+    """Return the friction forces at contact points, N.
+
+    Arguments:
+        contact: the contact law.
+        met: the contact points.
+        normal: normal forces at the points, N; the friction is distributed in proportion to them.
+        total: total normal force on each link, N.
+        strain: stretch of the skin of the links, m.
+    """
     held = -contact.friction_stiffness * contact.hold(strain, total)
     share = normal / jnp.where(total > 0, total, 1)[met.link, None]
     force = jnp.broadcast_to(held[:, met.link, None], met.normal.shape)
@@ -277,7 +313,7 @@ def _touch(
 ) -> Touch:
     met = meeting(arm, contact, here, rates, pairs)
     normal = pressing(contact, met)
-    # What damping adds to the elastic force, which is known as a whole.
+    # The elastic force is in `met.force`. This is the additional force due to damping.
     push = scaled(normal - met.load, met.normal)
     moment = cross(met.place, push)
     total = met.of_links(jnp.sum(normal, axis=1)[None], arm.count)[0]
@@ -298,11 +334,12 @@ def _touch(
 def touched(
     arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> tuple[Float[Array, "link obstacle"], Float[Array, "link obstacle 3"]]:
-    """Flattening of each link by each obstacle, m, and the force of the obstacle on it, N.
+    """Return the flattening of each link by each obstacle, m, and the force on the link, N.
 
     Arguments:
-        angles, rates: of the joints, rad and rad/s.
-        strain: stretch of the links' skin, m, where contact has friction; none by default.
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        strain: stretch of the skin of the links, m, if contact has friction; none by default.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)
@@ -324,13 +361,13 @@ def touched(
 
 
 class Stiffness(NamedTuple):
-    """How the torques of contact change with the state.
+    """Derivatives of the contact torques with respect to the state.
 
     Attributes:
-        angles: with the angles of the joints, N m/rad; symmetric and not negative.
-        rates: with their rates, N m s/rad; likewise.
-        sticking: velocity of the skin of links that stick, with the rates of the joints, m; the
-            stretch of the skin acts on the joints through its transpose. None without friction.
+        angles: stiffness with respect to the joint angles, N m/rad; positive semidefinite.
+        rates: damping with respect to the joint rates, N m s/rad; positive semidefinite.
+        sticking: velocity of the skin of sticking links per unit of the joint rates, m. Its
+            transpose maps the stretch of the skin to joint torques. None without friction.
         skin: stiffness of the skin along an obstacle, N/m.
     """
 
@@ -343,11 +380,12 @@ class Stiffness(NamedTuple):
 def contact_stiffness(
     arm: Arm, angles: PerJoint, rates: PerJoint, strain: Float[Array, "3 link"] | None = None
 ) -> Stiffness:
-    """How the torques of pressed contacts change, but for the turning of normals.
+    """Return the derivatives of the contact torques, except for the rotation of the normals.
 
     Arguments:
-        angles, rates: of the joints, rad and rad/s.
-        strain: stretch of the links' skin, m, where contact has friction; none by default.
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        strain: stretch of the skin of the links, m, if contact has friction; none by default.
     """
     assert arm.contact is not None
     contact, here = arm.contact, pose(arm, angles)
@@ -366,9 +404,10 @@ def contact_stiffness(
 
 
 def _of_joints(here: Pose, met: Meeting, weight: Array) -> Float[Array, "joint joint"]:
-    """Sum of weighted squares of how joints move points along their normals.
+    """Return the weighted sum of outer products of the normal velocities per unit of joint rates.
 
-    As for the mass matrix: squares of wrenches about the base origin are summed from the tip.
+    As for the mass matrix, outer products of wrenches about the base origin are summed from the
+    tip.
     """
     wrench = jnp.concatenate([met.normal, cross(met.place, met.normal)])
     square = jnp.einsum("ikp,jkp,kp->ijk", wrench, wrench, weight)
@@ -380,14 +419,14 @@ def _of_joints(here: Pose, met: Meeting, weight: Array) -> Float[Array, "joint j
 
 
 def _sticking(contact: Contact, here: Pose, met: Meeting, strain: Rows) -> Array:
-    """Velocity of the skin with the rates of the joints, of the links that stick."""
+    """Return the velocity of the skin of sticking links per unit of the joint rates, m."""
     count = here.joint.shape[1]
     normal = pressing(contact, met)
     total = met.of_links(jnp.sum(normal, axis=1)[None], count)[0]
     share = normal / jnp.where(total > 0, total, 1)[met.link, None]
     place = met.place - scaled(met.distance, met.normal)
     screw = jnp.concatenate([cross(here.joint, here.axis), here.axis])
-    # Velocity of the place by each component of a velocity of the origin, and of a turn.
+    # Velocity of each point for unit components of a translation and of a rotation.
     moves = [jnp.broadcast_to(unit[:, None, None], place.shape) for unit in np.eye(3)]
     moves += [cross(unit, place) for unit in moves]
     slides = [move - scaled(dot(met.normal, move), met.normal) for move in moves]

@@ -1,4 +1,7 @@
-"""Laws of drag: the force of the air for each metre of a link. A law of one's own is one more."""
+"""Drag laws: the aerodynamic force on a link per unit of length.
+
+A user-defined law derives from `AbstractDragLaw`.
+"""
 
 import abc
 import operator
@@ -24,21 +27,24 @@ from ...runtime.arrays import (
 from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 
-# log10 C_D is a line in log10 Re and three smooth steps: the end of creeping flow, the growth of
-# the wake, and the drag crisis. The coefficients are a least-squares fit to 247 digitised points
-# (Re 0.1 to 8.5e6) that scatter by 0.037 about it; `data/recorded/cylinder_cd` holds them and the
-# fit.
+# log10 C_D is the sum of a linear function of log10 Re and three smooth steps, which represent the
+# end of creeping flow, the growth of the wake, and the drag crisis. The coefficients come from a
+# least-squares fit to 247 digitised points (Re from 0.1 to 8.5e6), which scatter about the curve
+# by 0.037. `data/recorded/cylinder_cd` contains the points and the fit.
 _LINE = (3.75991, -0.90015)
 _HEIGHT = np.asarray([-0.27163, 2.87305, 0.48415])
 _PLACE = np.asarray([5.56961, 3.91454, 6.32711])
 _WIDTH = np.asarray([0.04694, 2.98417, 0.46406])
-# The curve goes on level outside; the points end at 0.1 and 8.5e6.
+# The curve is constant outside these Reynolds numbers. The points end at 0.1 and 8.5e6.
 _LOWEST, _HIGHEST = 0.01, 1e7
-_REFERENCE = 1e5  # the Reynolds number at which `air.drag_coefficient` is meant
+_REFERENCE = 1e5  # Reynolds number to which `air.drag_coefficient` refers
 
 
 def cylinder_drag_coefficient(reynolds: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """C_D, by length times diameter, of a smooth cylinder in cross flow at Re = |V| d / nu."""
+    """Return C_D of a smooth cylinder in cross flow at Re = |V| d / nu.
+
+    The reference area is length times diameter.
+    """
     coefficient: Array = _curve(reynolds)
     return coefficient
 
@@ -50,13 +56,13 @@ def _curve(reynolds: Array) -> Array:
 
 @_curve.defjvp
 def _curve_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
-    """With the value and the slope computed once for all directions."""
+    """Compute the value and the derivative once for all tangents."""
     value, slope = computed_once(jnp.stack(_curve_and_slope(*primals)))
     return value, slope * tangents[0]
 
 
 def _curve_and_slope(reynolds: Array) -> tuple[Array, Array]:
-    # Smooth at Re = 0, where an arm at rest is differentiated.
+    # The curve is smooth at Re = 0, so that it can be differentiated for an arm at rest.
     beyond = reynolds * reynolds + _LOWEST**2
     square = smaller(beyond, _HIGHEST**2)
     x = jnp.log(square) / (2 * np.log(10))
@@ -70,21 +76,22 @@ def _curve_and_slope(reynolds: Array) -> tuple[Array, Array]:
 
 
 class Stream(NamedTuple):
-    """The air past the links of an arm at one place of each link, or at several.
+    """Flow past the links of an arm at one or several points of each link.
 
-    Vectors have shape (3, link), or (3, place, link) where there are several places; what is not
-    a vector lacks the 3, and what is the same at all places may have one. `runtime.arrays` has what
-    laws are written with: `dot`, `scaled`, and `safe_norm`, which has derivatives at rest.
+    Vectors have the shape (3, link), or (3, place, link) for several points. Scalars have the same
+    shapes without the 3. Values that are the same at all points may have a place axis of length 1.
+    `runtime.arrays` provides functions for drag laws: `dot`, `scaled`, and `safe_norm`, which is
+    differentiable at rest.
 
     Attributes:
-        velocity: of the place relative to the air, m/s.
-        across: the part of the velocity that is normal to the link, m/s.
-        along: the other part, towards the tip, m/s.
+        velocity: velocity of the point relative to the air, m/s.
+        across: component of the velocity normal to the link, m/s.
+        along: component of the velocity along the link, towards the tip, m/s.
         axis: unit vector along the link, towards the tip.
-        diameter: of the link, m.
-        fullness: displaced volume over that of the full cylinder.
-        density: of the air, kg/m^3.
-        viscosity: kinematic, of the air, m^2/s.
+        diameter: diameter of the link, m.
+        fullness: displaced volume divided by the volume of the full cylinder.
+        density: density of the air, kg/m^3.
+        viscosity: kinematic viscosity of the air, m^2/s.
     """
 
     velocity: Float[Array, "3 *place link"]
@@ -97,15 +104,17 @@ class Stream(NamedTuple):
     viscosity: Scalar
 
     def reynolds(self, speed: Float[Array, "*place link"]) -> Float[Array, "*place link"]:
-        """The Reynolds number |V| d / nu of a speed, m/s."""
+        """Return the Reynolds number |V| d / nu of a speed, m/s."""
         return speed * self.diameter / self.viscosity
 
     def at_places(
         self, moved: Float[Array, "3 place link"], wind: Float[Array, "3 place link"] | None = None
     ) -> "Stream":
-        """That of a place, at several, which move with other velocities across the link, m/s.
+        """Return the flow at several points of each link, from the flow at one point.
 
-        There `wind` is how much faster the air is.
+        Arguments:
+            moved: additional velocity of the points across the link, m/s.
+            wind: additional velocity of the air at the points, m/s; 0 by default.
         """
         wide = {
             name: getattr(self, name)[..., None, :]
@@ -120,10 +129,10 @@ class Stream(NamedTuple):
 
 
 class AbstractDragLaw(eqx.Module):
-    """What the air does to a link, place by place: `force`, and at how many `points`.
+    """A drag law: the `force` of the air at each point, and the number of `points` of a link.
 
-    Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
-    as `air.law.NAME`. `check_drag_law` tests a law.
+    The parameters of a law are declared like all others (`giajax.schema.parameters.parameter`) and
+    have paths of the form `air.law.NAME`. `check_drag_law` tests a law.
     """
 
     registered_as: ClassVar[str] = "drag"
@@ -132,15 +141,18 @@ class AbstractDragLaw(eqx.Module):
     @property
     @abc.abstractmethod
     def points(self) -> int:
-        """Gauss points along a link, a constant. 0: at its centre alone, without a couple."""
+        """Number of Gauss points along a link, a constant.
+
+        With 0, drag acts only at the centre of the link, without a couple.
+        """
 
     @abc.abstractmethod
     def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
-        """Force of the air on each metre of the links, N/m."""
+        """Return the force of the air per unit of length of the links, N/m."""
 
 
 def _factor(curve: str, stream: Stream, speed: Array) -> Array | float:
-    """C_D at a speed over that at the Reynolds number of reference."""
+    """Return C_D at a speed divided by C_D at the reference Reynolds number."""
     if curve == "constant":
         return 1.0
     x = np.log10(_REFERENCE)
@@ -149,10 +161,12 @@ def _factor(curve: str, stream: Stream, speed: Array) -> Array | float:
 
 
 class CentreDrag(AbstractDragLaw):
-    """F = -1/2 rho C_D L d |V| V at the link's centre (paper, eq. 1).
+    """The drag law F = -1/2 rho C_D L d |V| V at the centre of the link (paper, eq. 1).
 
     Attributes:
-        coefficient: C_D; with the curve "cylinder" that at Re = 1e5.
+        coefficient: drag coefficient C_D; with the curve "cylinder", its value at Re = 1e5.
+        curve: "constant", or "cylinder" for C_D as a function of the Reynolds number.
+        points: number of Gauss points; 0 for the centre only.
     """
 
     coefficient: Scalar
@@ -160,18 +174,21 @@ class CentreDrag(AbstractDragLaw):
     points: int = eqx.field(static=True, default=0)
 
     def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
-        """Along the velocity, against it."""
+        """Return the force per length against the velocity, N/m."""
         speed = safe_norm(stream.velocity)
         size = 0.5 * stream.density * stream.diameter * self.coefficient
         return -scaled(size * _factor(self.curve, stream, speed) * speed, stream.velocity)
 
 
 class StripDrag(AbstractDragLaw):
-    """Drag of the flow across a link, and along it.
+    """Drag from the flow across a link and along it, integrated along the link.
 
     Attributes:
-        coefficient: C_D; with the curve "cylinder" that at Re = 1e5.
-        axial: coefficient of the drag along the link, by length times diameter; None for none.
+        coefficient: drag coefficient C_D; with the curve "cylinder", its value at Re = 1e5.
+        axial: coefficient of the drag along the link, relative to length times diameter; None for
+            no axial drag.
+        curve: "constant", or "cylinder" for C_D as a function of the Reynolds number.
+        points: number of Gauss points along a link.
     """
 
     coefficient: Scalar
@@ -180,7 +197,11 @@ class StripDrag(AbstractDragLaw):
     points: int = eqx.field(static=True, default=3)
 
     def force(self, stream: Stream) -> Float[Array, "3 *place link"]:
-        """Against the flow across the link, by its own speed, and against that along it."""
+        """Return the force per length, N/m.
+
+        The cross-flow drag depends only on the velocity across the link, and the axial drag only on
+        the velocity along it.
+        """
         speed = safe_norm(stream.across)
         half = 0.5 * stream.density * stream.diameter
         size = half * self.coefficient * _factor(self.curve, stream, speed)
@@ -191,18 +212,23 @@ class StripDrag(AbstractDragLaw):
         return force - scaled(skin, stream.axis)
 
 
-_SPEEDS = (1e-3, 0.1, 1.0, 10.0)  # at which a law is tried, m/s; the last one has derivatives
+_SPEEDS = (1e-3, 0.1, 1.0, 10.0)  # m/s; speeds at which a law is tested
 
 
 def check_drag_law(law: AbstractDragLaw, links: int = 7) -> None:
-    """Try a law of drag on so many links that move in several ways, and at rest.
+    """Test a drag law on links that move at several speeds and in several directions, or not.
 
-    While a program is traced nothing is checked.
+    A traced law is not tested.
+
+    Arguments:
+        law: the drag law.
+        links: number of links.
 
     Raises:
-        InputError: naming the method and what is wrong: an exception, a shape, a value or a
-            derivative that is not finite, a derivative that is not that of the differences, or a
-            force that drives a link instead of resisting it.
+        InputError: a method raises an exception, returns a wrong shape, has a value or derivative
+            that is not finite, has a derivative that does not match finite differences, or returns
+            a force that accelerates a link instead of resisting its motion. The message names the
+            method.
     """
     if is_concrete(law):
         with tried(f"{type(law).__name__}.force"), jax.ensure_compile_time_eval():
@@ -247,8 +273,7 @@ def _try(law: AbstractDragLaw, links: int) -> None:
         if bool(jnp.any(power > rounding * safe_norm(acting) * safe_norm(moving))):
             raise InputError(
                 f"{what} accelerates a link that moves through the air {at}, which would create "
-                f"energy: let the force act"
-                " against the velocity"
+                "energy: let the force act against the velocity"
             )
         turned = jnp.roll(velocity, 1, axis=0) if speed else jnp.ones_like(velocity)
         slope = jax.jvp(force, (velocity,), (turned,))[1]
@@ -271,6 +296,6 @@ def _try(law: AbstractDragLaw, links: int) -> None:
         size = jnp.max(jnp.abs(slope)) + jnp.max(jnp.abs(acting))
         if speed >= 1 and float(jnp.max(jnp.abs(found - slope))) > 1e-2 * float(size):
             raise InputError(
-                f"{what} has a derivative {at} that does not match finite differences: correct its "
-                "custom rule, or remove it"
+                f"{what} has a derivative {at} that does not match finite differences: correct "
+                "its custom derivative rule, or remove it"
             )

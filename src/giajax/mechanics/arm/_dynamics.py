@@ -1,4 +1,4 @@
-"""Equation of motion: accelerations of the joints under their torques; energy and powers."""
+"""Equation of motion: joint accelerations under joint torques; energies and powers."""
 
 from typing import Any
 
@@ -46,15 +46,19 @@ def acceleration(
     skin: Float[Array, "3 link"] | None = None,
     time: Any = 0.0,
 ) -> PerJoint:
-    """Joint accelerations of the arm under its commands, rad/s^2: its equation of motion.
+    """Return the joint accelerations of the arm under its commands, rad/s^2.
+
+    This is the equation of motion of the arm.
 
     Arguments:
-        angles, rates, command: of the joints, rad, rad/s and rad.
-        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
-        torque: of the joints' drives, beside springs and dampers, N m; none by default.
-        memory, pressures: as of `joint_torque`.
-        skin: stretch of the links' skin along obstacles (`Contact`), m; none by default.
-        time: s, of a wind field (`Air.wind_field`).
+        arm: the arm.
+        angles, rates, command: joint angles, rad, joint rates, rad/s, and commanded angles, rad.
+        wind, wind_rate: velocity of the air in the base frame, m/s, and its rate of change, m/s^2;
+            still air by default.
+        torque: torque of the joint drives in addition to springs and dampers, N m; none by default.
+        memory, pressures: see `joint_torque`.
+        skin: stretch of the skin of the links along obstacles (`Contact`), m; none by default.
+        time: time at which a wind field (`Air.wind_field`) is evaluated, s.
     """
     total = joint_torque(arm, angles, rates, command, memory, pressures)
     if torque is not None:
@@ -72,17 +76,20 @@ def joint_torque(
     memory: States | None = None,
     pressures: Float[Array, "2 joint"] | None = None,
 ) -> PerJoint:
-    """Torque of the joints' springs or muscles, dampers, friction, hysteresis and laws, N m.
+    """Return the torque of all joint laws, N m.
 
-    The spring of a joint pulls towards its commanded angle (paper, III.A: a spring whose
-    initial length can change); damping c and Coulomb friction f act against the joint's rate
-    by c v + f tanh(v / v0).
+    These are springs or muscles, dampers, friction, hysteresis and further laws. The spring of a
+    joint pulls towards its commanded angle (section III.A of the paper: a spring whose initial
+    length can change). Damping c and Coulomb friction f act against the rate v of the joint with
+    the torque c v + f tanh(v / v0).
 
     Arguments:
-        angles, rates, command: of the joints, rad, rad/s and rad.
-        memory: states of the joints' laws (`Arm.joint_laws`); without strain by default.
-        pressures: supplied to the muscles of joints that have some (`Pneumatics`), Pa; by default
-            those with which their controller holds the command.
+        arm: the arm.
+        angles, rates, command: joint angles, rad, joint rates, rad/s, and commanded angles, rad.
+        memory: states of the joint laws (`Arm.joint_laws`); by default those at the start of a
+            motion.
+        pressures: pressures supplied to the muscles (`Pneumatics`), Pa; by default the pressures
+            with which their controller holds the command.
     """
     laws = arm.joint_laws
     return laws.torque(laws.at(angles, rates, command, memory, pressures))
@@ -97,12 +104,15 @@ def forward_dynamics(
     wind_rate: Wind | None = None,
     time: Any = 0.0,
 ) -> PerJoint:
-    """Joint accelerations under joint torques (N m), gravity and drag, rad/s^2.
+    """Return the joint accelerations under joint torques, gravity and drag, rad/s^2.
 
     Arguments:
-        angles, rates: of the joints, rad and rad/s.
-        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
-        time: s, of a wind field.
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        torques: joint torques, N m.
+        wind, wind_rate: velocity of the air in the base frame, m/s, and its rate of change, m/s^2;
+            still air by default.
+        time: time at which a wind field is evaluated, s.
     """
     return _accelerations(arm, angles, rates, torques, flow(arm, wind, wind_rate, time))
 
@@ -114,9 +124,9 @@ def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: 
 
 @_accelerations.def_jvp
 def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
-    """Differentiate M a + h = tau at fixed a, and reuse the factors of M.
+    """Differentiate M a + h = tau at constant a, and reuse the Cholesky factors of M.
 
-    Differentiating the Cholesky factorisation itself costs twice as much.
+    Differentiating the Cholesky factorisation itself takes twice as much time.
     """
     arm, angles, rates, torques, wind = primals
     t_arm, t_angles, t_rates, t_torques, t_wind = tangents
@@ -152,14 +162,16 @@ def joint_forces(
     skin: Float[Array, "3 link"] | None = None,
     time: Any = 0.0,
 ) -> Float[Array, "joint 3"]:
-    """Force that each joint passes on to the link beyond it, in the base frame, N.
+    """Return the force that each joint exerts on the link beyond it, in the base frame, N.
 
-    It is what all links beyond need to move so (Newton), less their weight and what buoyancy, the
-    air and obstacles do of it.
+    This is the force required for the acceleration of all links beyond the joint, minus the forces
+    of gravity, buoyancy, the air and obstacles on them.
 
     Arguments:
-        angles, rates, accelerations: of the joints, rad, rad/s and rad/s^2.
-        wind, wind_rate, skin, time: as of `acceleration`.
+        arm: the arm.
+        angles, rates, accelerations: joint angles, rad, joint rates, rad/s, and joint
+            accelerations, rad/s^2.
+        wind, wind_rate, skin, time: see `acceleration`.
     """
     air = flow(arm, wind, wind_rate, time)
     needed = carried_load(arm, pose(arm, angles), rates, accelerations, air)[:3]
@@ -169,7 +181,12 @@ def joint_forces(
 
 
 def kinetic_energy(arm: Arm, angles: PerJoint, rates: PerJoint) -> Scalar:
-    """Energy of the links' motion (rad, rad/s), and of the air's where added mass is on, J."""
+    """Return the kinetic energy of the links and, with added mass, of the air, J.
+
+    Arguments:
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+    """
     return rates @ mass_matrix(arm, angles) @ rates / 2
 
 
@@ -180,19 +197,22 @@ def potential_energy(
     wind: Wind | None = None,
     memory: States | None = None,
 ) -> Scalar:
-    """Energy of the joints' springs, of gravity and of buoyancy, J; zero at z = 0 and rest.
+    """Return the potential energy of joint laws, gravity and buoyancy, J.
 
-    Of joints with muscles it has what the balloons resist; the muscles' own is the air's, and
-    `muscle_power` what they deliver.
+    The energy is zero for masses at z = 0 and undeflected joints. For joints with muscles, it
+    includes the energy stored by the resistance of the balloons. The energy of the gas in the
+    muscles is not included: `muscle_power` is the power that they deliver.
 
-    In a steady wind u added mass adds -1/2 u . M_a(q) u, which turns a link across the wind
-    (the Munk moment): with it the sum of kinetic and potential energy changes by the powers of
-    drag and of the joints alone. That of a wind field is left out, which is not a potential.
+    In a steady wind u, added mass contributes -1/2 u . M_a(q) u, which turns a link perpendicular
+    to the wind (the Munk moment). With this term, only the powers of drag and joints change the sum
+    of kinetic and potential energy. The corresponding term of a wind field is omitted, because it
+    is not a potential.
 
     Arguments:
-        angles, command: of the joints, rad.
-        wind: steady, of the air in the base frame, m/s; still air by default.
-        memory: as of `joint_torque`.
+        arm: the arm.
+        angles, command: joint angles and commanded angles, rad.
+        wind: steady velocity of the air in the base frame, m/s; still air by default.
+        memory: see `joint_torque`.
     """
     here, laws = pose(arm, angles), arm.joint_laws
     springs = laws.energy(laws.at(angles, jnp.zeros_like(angles), command, memory)).sum()
@@ -211,9 +231,9 @@ def potential_energy(
 def drag_power(
     arm: Arm, angles: PerJoint, rates: PerJoint, wind: Wind | None = None, time: Any = 0.0
 ) -> Scalar:
-    """Power that the air's drag delivers to the links, W; negative in still air.
+    """Return the power that the drag of the air delivers to the links, W; negative in still air.
 
-    Arguments: as of `drag_force`.
+    The arguments are those of `drag_force`.
     """
     (force, couple), velocity, omega = drag_in_motion(arm, angles, rates, wind, time)
     power = dot(force, velocity)
@@ -223,7 +243,7 @@ def drag_power(
 
 
 def damping_power(arm: Arm, rates: PerJoint) -> Scalar:
-    """Power that the joints' damping and friction deliver at rates (rad/s), W; never positive."""
+    """Return the power of joint damping and friction at rates (rad/s), W; never positive."""
     laws, still = JointLaws(arm.joints.dampers), jnp.zeros_like(rates)
     return (laws.torque(laws.at(still, rates, still)) * rates).sum()
 
@@ -235,9 +255,15 @@ def hysteresis_power(
     memory: States | None = None,
     command: PerJoint | None = None,
 ) -> Scalar:
-    """Power that the joints' hysteresis takes from the motion for good, W; never positive.
+    """Return the negative of the power dissipated by joint hysteresis, W; never positive.
 
-    With that of laws of one's own, to which the command may matter: 0 by default, as are strains.
+    The power dissipated by further joint laws is included.
+
+    Arguments:
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        memory: states of the laws; by default those at the start of a motion.
+        command: commanded angles, on which further laws may depend, rad; 0 by default.
     """
     command = jnp.zeros_like(angles) if command is None else command
     return -_lost(arm.further_laws, False, angles, rates, command, memory)
@@ -246,19 +272,31 @@ def hysteresis_power(
 def muscle_power(
     arm: Arm, angles: PerJoint, rates: PerJoint, pressures: Float[Array, "2 joint"]
 ) -> Scalar:
-    """Power that the pressures in the muscles (Pa) deliver to the joints, W; 0 without muscles.
+    """Return the power that the muscles deliver to the joints, W; 0 without muscles.
 
-    Muscles are without friction, so that it is the pressure times the rate of the volume where
-    the law is virtual work of the gas (the ideal braid). Of joints with necks it is what muscles
-    and necks deliver together, and no such work: what a neck stores depends on the muscles that
-    press it, which do not shorten with it.
+    The muscles have no friction. If the muscle law is the virtual work of the gas (the ideal
+    braid), the power is therefore the pressure times the rate of change of the volume. In joints
+    with necks, it is the combined power of muscles and necks, and does not equal this work, because
+    the energy stored in a neck depends on the compression by the muscles, which do not shorten with
+    the neck.
+
+    Arguments:
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+        pressures: pressures in the muscles, Pa.
     """
     still = jnp.zeros_like(angles)
     return -_lost(arm.further_laws, True, angles, rates, still, None, pressures)
 
 
 def _lost(laws: JointLaws, driven: bool, *state: Any) -> Scalar:
-    """Power that is neither stored nor given to the joints by laws that pressures drive, or not."""
+    """Return the total `dissipation` of laws driven by pressures, or of all other laws, W.
+
+    Arguments:
+        laws: joint laws.
+        driven: whether to use the laws that are driven by pressures.
+        state: arguments of `JointLaws.at`.
+    """
     parts = laws.each(laws.at(*state)) if laws.laws else ()
     lost = [law.dissipation(own).sum() for law, own in parts if law.takes_pressures == driven]
     return sum(lost, jnp.zeros(()))

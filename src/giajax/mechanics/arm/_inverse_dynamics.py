@@ -1,4 +1,4 @@
-"""Inertia of the links, the mass matrix, and the torque that a motion needs."""
+"""Inertia of the links, mass matrix, inverse dynamics, and the solution for accelerations."""
 
 import itertools
 from collections.abc import Iterable, Sequence
@@ -41,13 +41,13 @@ from ._kinematics import (
     sum_from_tip,
 )
 
-# Spatial inertias about the base origin simply add, so the composite inertias are one reverse
-# cumulative sum and M[k, j] = S_k . (I_composite_j S_j) for k <= j (Featherstone, Rigid Body
+# Spatial inertias about the base origin are additive, so the composite inertias are one reverse
+# cumulative sum, and M[k, j] = S_k . (I_composite_j S_j) for k <= j (Featherstone, Rigid Body
 # Dynamics Algorithms, ch. 6, in base coordinates).
 
 
 def mass_matrix(arm: Arm, angles: PerJoint) -> Float[Array, "joint joint"]:
-    """Joint-space mass matrix M(q) at angles (rad), kg m^2; symmetric and positive definite."""
+    """Return the mass matrix M(q) at joint angles (rad), kg m^2; symmetric, positive definite."""
     here = pose(arm, angles)
     motion, momentum = motion_and_momentum(arm, here, sum_from_tip(carried_inertia(arm, here)))
     upper = jnp.triu(mass_matrix_upper(motion, momentum))
@@ -59,22 +59,26 @@ def mass_matrix(arm: Arm, angles: PerJoint) -> Float[Array, "joint joint"]:
 def motion_and_momentum(
     arm: Arm, here: Pose, carried: Float[Array, "12 link"]
 ) -> tuple[Float[Array, "6 joint"], Float[Array, "6 joint"]]:
-    """Of each joint's unit rate: the motion S, and the momentum I S of all links that it carries.
+    """Return motion S and momentum I S of all links beyond each joint, per unit of its rate.
 
-    Both about the base origin, three angular rows before three linear ones; `carried` is
-    `carried_inertia`, summed from the tip.
+    Both refer to the base origin, with three angular rows followed by three linear rows.
+
+    Arguments:
+        arm: the arm.
+        here: configuration of the arm.
+        carried: `carried_inertia`, summed from the tip.
     """
     rod = added_mass(arm)
     mass = bodies(arm).mass if rod is None else bodies(arm).mass + rod.mass
     first, inertia = carried[:3], carried[3:].reshape(3, 3, -1)
     w = here.axis
-    v = cross(here.joint, w)  # velocity, at the origin, of a body turning about the joint
+    v = cross(here.joint, w)  # velocity at the origin of a body that rotates about the joint
     linear = scaled(sum_from_tip(mass[None])[0], v) + cross(w, first)
     turn = _tensor_times(inertia, w)
     motion = jnp.concatenate([w, v])
     momentum = jnp.concatenate([turn + cross(first, v), linear])
     if rod is not None:
-        # Velocity of a link's centre along itself is this times the motion of the link.
+        # The axial velocity of a link centre is the scalar product of `slip` and the link motion.
         slip = jnp.concatenate([cross(here.centre, here.direction), here.direction])
         along = sum_from_tip(scaled(rod.mass, slip)[:, None] * slip[None])
         momentum = momentum - jnp.sum(along * motion[None], axis=1)
@@ -84,13 +88,13 @@ def motion_and_momentum(
 def mass_matrix_upper(
     motion: Float[Array, "6 joint"], momentum: Float[Array, "6 joint"]
 ) -> Float[Array, "joint joint"]:
-    """The mass matrix without armature, right on and above the diagonal only."""
-    # XLA takes twice as long over one product of six rows.
+    """Return the mass matrix without armature, valid only on and above the diagonal."""
+    # A single product of six rows takes XLA twice as long.
     return motion[:3].T @ momentum[:3] + motion[3:].T @ momentum[3:]
 
 
 def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
-    """Moments of mass of each link and of the air that it moves, to be summed from the tip."""
+    """Return the moments of mass of each link with its added mass, to be summed from the tip."""
     body, e = bodies(arm), here.direction
     ring = body.axial - body.transverse
     spatial = _about_origin(body.mass, here.mass_centre, e, body.transverse, ring)
@@ -99,7 +103,7 @@ def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
         spatial = spatial.at[3:].add(uneven.reshape(9, -1))
     rod = added_mass(arm)
     if rod is not None:
-        # A rod that had its mass along itself, too; `motion_and_momentum` takes it away again.
+        # This includes the axial inertia of the rod, which `motion_and_momentum` subtracts again.
         spatial = spatial + _about_origin(rod.mass, here.centre, e, rod.inertia, -rod.inertia)
     return spatial
 
@@ -107,11 +111,17 @@ def carried_inertia(arm: Arm, here: Pose) -> Float[Array, "12 link"]:
 def _about_origin(
     mass: Array, x: Rows, direction: Rows, transverse: Array, ring: Array
 ) -> Float[Array, "12 link"]:
-    """Moments of mass, about the base origin, of bodies that are round about the links' axes.
+    """Return the moments of mass of axisymmetric bodies about the base origin.
 
-    The first moments, and the inertia as nine rows, where six would do: they come out of one
-    product, and a stack of rows that are computed one by one costs more than their sum.
-    `ring` is axial - transverse.
+    These are the first moments and nine rows of the inertia. Six rows would be sufficient, but
+    computing nine rows in one product is faster than computing six rows separately.
+
+    Arguments:
+        mass: mass of each body, kg.
+        x: centre of mass of each body, m.
+        direction: axis of each body.
+        transverse: transverse moment of inertia, kg m^2.
+        ring: axial minus transverse moment of inertia, kg m^2.
     """
     first = scaled(mass, x)
     round_part = transverse + dot(first, x)
@@ -124,7 +134,7 @@ def _about_origin(
 
 
 def inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
-    """Rotational inertia of each link about its centre of mass, times a vector."""
+    """Return the inertia of each link about its centre of mass, multiplied by a vector."""
     along = (body.axial - body.transverse) * dot(here.direction, vector)
     product = scaled(body.transverse, vector) + scaled(along, here.direction)
     uneven = _uneven(body, here)
@@ -132,9 +142,15 @@ def inertia_times(body: Bodies, here: Pose, vector: Rows) -> Rows:
 
 
 def gyroscopic(body: Bodies, here: Pose, omega: Rows, leaning: Rows) -> Rows:
-    """The couple omega x (I omega) of each link; `leaning` is the rate of its direction.
+    """Return the couple omega x (I omega) of each link.
 
-    Of a body that is round about its axis, only what it turns about that counts.
+    For an axisymmetric body, it depends only on the rotation about the axis.
+
+    Arguments:
+        body: rigid bodies of the links.
+        here: configuration of the arm.
+        omega: angular velocity of each link, rad/s.
+        leaning: rate of change of the direction of each link, 1/s.
     """
     axial = (body.axial - body.transverse) * dot(here.direction, omega)
     couple = scaled(axial, leaning)
@@ -143,14 +159,14 @@ def gyroscopic(body: Bodies, here: Pose, omega: Rows, leaning: Rows) -> Rows:
 
 
 def _uneven(body: Bodies, here: Pose) -> Float[Array, "3 3 link"] | None:
-    """What off-axis masses add to the inertia, in the base frame."""
+    """Return the contribution of off-axis masses to the inertia, in the base frame."""
     if body.uneven is None:
         return None
     assert here.left is not None
     frame = jnp.stack([here.direction, here.left, here.up])
     xx, yy, zz, xy, xz, yz = body.uneven
     tensor = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-    # X R', then R X R', with the columns of R in the rows of `frame`.
+    # Compute X R', then R X R'. The rows of `frame` contain the columns of R.
     turned = [_sum3(scaled(row[k], frame[k]) for k in range(3)) for row in tensor]
     return _sum3(frame[k][:, None] * turned[k][None] for k in range(3))
 
@@ -164,24 +180,31 @@ def _sum3(terms: Iterable[Array]) -> Array:
     return x + y + z
 
 
-# Accelerations from the mass matrix, some joints at a time, from the tip to the base.
+# Accelerations from the mass matrix, computed block by block from the tip to the base.
 #
-# The matrix is that of products, M[k, j] = a_k . b_j for k <= j, of the motion a = S_k and the
-# momentum b = I_j S_j that go with each joint. Where the joints from some place to the tip are
-# free to follow, what is left for those before it is of the same form, with b_j - Q a_j for b_j:
-# Q is the part of the composite inertia that follows, and what remains is the articulated one
-# (Featherstone, Rigid Body Dynamics Algorithms, ch. 7). Joint by joint that is his algorithm.
-# Here LAPACK eliminates many joints at once, as a call of it takes as long as some thousand
-# operations, but not all of a long arm, whose matrix takes n^3.
+# The matrix consists of the products M[k, j] = a_k . b_j for k <= j of the motion a_k = S_k and the
+# momentum b_j = I_j S_j of the joints. If the joints from some joint to the tip are eliminated, the
+# matrix of the remaining joints has the same form with b_j - Q a_j instead of b_j. Q is the part of
+# the composite inertia that is free to follow, and the remainder is the articulated-body inertia
+# (Featherstone, Rigid Body Dynamics Algorithms, ch. 7). If joints are eliminated one by one, this
+# is his algorithm. Here LAPACK eliminates many joints at once, because one call takes as long as
+# about a thousand operations. It does not eliminate all joints of a long arm at once, because the
+# time for one matrix is proportional to n^3.
 
-# Joints that are eliminated together, at most: two pieces of half as many take as long.
+# Largest number of joints that are eliminated together. At this number, two blocks of half the size
+# take the same time.
 _TOGETHER = 48
 
 
 class Piece(NamedTuple):
-    """Joints that are eliminated together: their a, the lower Cholesky factor L of their part of
-    the matrix, where all that follow are free, and their reach: b, of what is left of the inertia,
-    times L^-T; None of the first joints.
+    """A block of joints that are eliminated together.
+
+    Attributes:
+        motion: the vectors a of the joints.
+        factor: lower Cholesky factor L of the block of the matrix, after all joints beyond it have
+            been eliminated.
+        reach: the vectors b for the remaining inertia, multiplied by L^-T; None for the block of
+            the first joints.
     """
 
     motion: Float[Array, "6 joint"]
@@ -195,11 +218,17 @@ def eliminate_and_solve(
     armature: Array | None,
     torque: PerJoint,
 ) -> tuple[tuple[Piece, ...], PerJoint]:
-    """The pieces from the tip to the base, and the accelerations that a torque (N m) gives the
-    joints.
+    """Eliminate the joints from the tip to the base, and solve for the accelerations.
 
-    `motion` and `momentum` are a and b of the matrix, to whose diagonal `armature` is added, one
-    number or one for each joint.
+    Arguments:
+        motion: vectors a of the matrix.
+        momentum: vectors b of the matrix.
+        armature: armature inertia that is added to the diagonal, kg m^2; one number, or one for
+            each joint.
+        torque: joint torques, N m.
+
+    Returns:
+        The blocks in order from the tip to the base, and the joint accelerations, rad/s^2.
     """
     count = len(torque)
     pieces, halves = [], []
@@ -209,11 +238,11 @@ def eliminate_and_solve(
         if taken is not None:
             both = taken @ a
             b, pull = b - both[:6], pull - both[6:]
-        # LAPACK reads the lower triangle alone.
+        # LAPACK reads only the lower triangle.
         matrix = mass_matrix_upper(a, b).T
         if armature is not None:
             matrix = matrix + jnp.diag(jnp.broadcast_to(armature, (count,))[begin:end])
-        # For the first joints there is nobody to follow.
+        # No joints remain before the first block, so it needs no `reach`.
         rows = jnp.concatenate([b, pull]) if begin else pull
         factor, solved = factor_with_rows(matrix, rows)
         reach = solved[:6] if begin else None
@@ -226,7 +255,7 @@ def eliminate_and_solve(
 
 
 def solve_eliminated(pieces: tuple[Piece, ...], torque: PerJoint) -> PerJoint:
-    """The accelerations that another torque (N m) gives the joints whose pieces these are."""
+    """Return the joint accelerations for another torque (N m), from the eliminated blocks."""
     halves = []
     taken: Array | None = None
     for piece, (begin, end) in zip(pieces, _from_tip(len(torque)), strict=True):
@@ -242,7 +271,7 @@ def solve_eliminated(pieces: tuple[Piece, ...], torque: PerJoint) -> PerJoint:
 
 
 def _back(pieces: Sequence[Piece], halves: Sequence[Array]) -> Array:
-    """Accelerations from the base to the tip, from L^-1 times the torques of each piece."""
+    """Substitute backwards from the base to the tip, from L^-1 times the torques of each block."""
     found = []
     carried: Array | None = None
     for piece, half in zip(reversed(pieces), reversed(halves), strict=True):
@@ -257,7 +286,7 @@ def _back(pieces: Sequence[Piece], halves: Sequence[Array]) -> Array:
 
 
 def _from_tip(count: int) -> list[tuple[int, int]]:
-    """Where pieces of about the same number of joints begin and end, the last ones first."""
+    """Return the index ranges of blocks of about equal size, in order from the tip to the base."""
     pieces = -(-count // _TOGETHER)
     ends = [count * each // pieces for each in range(pieces, -1, -1)]
     return [(begin, end) for end, begin in itertools.pairwise(ends)]
@@ -272,15 +301,17 @@ def inverse_dynamics(
     wind_rate: Wind | None = None,
     time: Any = 0.0,
 ) -> PerJoint:
-    """Joint torques that produce accelerations against inertia, gravity and drag, N m.
+    """Return the joint torques required for accelerations against inertia, gravity and drag, N m.
 
-    Springs and dampers of the joints are part of the torque, not of the load; see
-    `joint_torque`.
+    The springs and dampers of the joints contribute to these torques; see `joint_torque`.
 
     Arguments:
-        angles, rates, accelerations: of the joints, rad, rad/s and rad/s^2.
-        wind, wind_rate: of the air in the base frame, m/s and m/s^2; still air by default.
-        time: s, of a wind field.
+        arm: the arm.
+        angles, rates, accelerations: joint angles, rad, joint rates, rad/s, and joint
+            accelerations, rad/s^2.
+        wind, wind_rate: velocity of the air in the base frame, m/s, and its rate of change, m/s^2;
+            still air by default.
+        time: time at which a wind field is evaluated, s.
     """
     air = flow(arm, wind, wind_rate, time)
     return required_torque(arm, pose(arm, angles), rates, accelerations, air)
@@ -289,7 +320,7 @@ def inverse_dynamics(
 def required_torque(
     arm: Arm, here: Pose, rates: PerJoint, accelerations: PerJoint, wind: Flow
 ) -> PerJoint:
-    """Inverse dynamics."""
+    """Return the inverse dynamics for a given pose: the required joint torques, N m."""
     carried = sum_from_tip(carried_load(arm, here, rates, accelerations, wind))
     torque = load_torque(here, carried)
     if arm.joints.armature is not None:
@@ -298,27 +329,32 @@ def required_torque(
 
 
 def load_torque(here: Pose, carried: Float[Array, "6 link"]) -> PerJoint:
-    """Torque about each joint's axis of what is carried beyond it."""
+    """Return the torque about each joint axis due to the loads beyond the joint, N m."""
     return dot(here.axis, carried[3:] - cross(here.joint, carried[:3]))
 
 
 def carried_load(
     arm: Arm, here: Pose, rates: PerJoint, accelerations: PerJoint | None, wind: Flow
 ) -> Float[Array, "6 link"]:
-    """Force that each link needs and its moment about the origin, to be summed from the tip."""
+    """Return the force required by each link and its moment about the origin.
+
+    The result must be summed from the tip.
+    """
     links, body, e = arm.links, bodies(arm), here.direction
 
     turning = scaled(rates, here.axis)
     omega = angular_velocities(here, rates)
-    # The axis of a joint turns with the links before it, which is the Coriolis term.
+    # The axis of a joint rotates with the links before it, which causes the Coriolis term.
     gain = cross(omega, turning)
     if accelerations is not None:
         gain = gain + scaled(accelerations, here.axis)
-    # First and second rate of the directions, of which those of all points on the axes are made:
-    # XLA computes what a cross product takes anew for each of its components.
+    # The velocities and accelerations of all points on the axes are computed from the first and
+    # second derivatives of the directions. This needs fewer cross products, for which XLA computes
+    # the operands again in each component.
     leaning = cross(omega, e)
     span_velocity = scaled(links.length, leaning)
-    # Sums along the chain are what an evaluation spends its time on, few rows or many.
+    # Sums along the chain take most of the time of an evaluation, almost independently of the
+    # number of rows, so both sums are computed together.
     summed = sum_from_base(jnp.concatenate([gain, span_velocity]))
     alpha, end_velocity = summed[:3], summed[3:]
     swinging = cross(alpha, e) + cross(omega, leaning)
@@ -353,7 +389,8 @@ def carried_load(
             arm, rod, here, relative, leaning, omega, alpha, centre_acceleration, wind
         )
         force, spin = force + push, spin - couple
-    # Of a round body alone, what turns it is made of few operations.
+    # For axisymmetric bodies alone, `spin` requires few operations and is not put behind the
+    # barrier.
     heavy = rod is not None or body.uneven is not None or load.couple is not None
     apart = derivative_barrier(jnp.concatenate([inertial, force, *([spin] if heavy else [])]))
     inertial, force, spin = apart[:3], apart[3:6], apart[6:] if heavy else spin
@@ -364,7 +401,10 @@ def carried_load(
 def _from_rest(
     arm: Arm, here: Pose, accelerations: PerJoint | None
 ) -> tuple[Rows, Rows, Rows, Rows, Rows]:
-    """What moves the links without any velocity, in the order of `added_mass_load`."""
+    """Return the motion of the links at zero velocity, in the argument order of `added_mass_load`.
+
+    Only the accelerations are not zero.
+    """
     still = jnp.zeros_like(here.direction)
     if accelerations is None:
         return still, still, still, still, still

@@ -1,4 +1,7 @@
-"""Laws of joints: torque, stored energy and own states of each. A law of one's own is one more."""
+"""Joint laws: torque, stored energy and internal states of the joints.
+
+A user-defined law derives from `AbstractJointLaw`.
+"""
 
 import abc
 import functools
@@ -24,18 +27,19 @@ Each = Float[Array, ""] | PerJoint
 States = Float[Array, "row joint"]
 Supply = Float[Array, "2 joint"]
 
-_ROUNDING = 16  # of the angles that a strain is the difference of, in units of their last place
+_ROUNDING = 16  # rounding error of a strain, in units in the last place of the angles
 
 
 class JointState(NamedTuple):
-    """The joints of an arm at one moment, as their laws see them.
+    """State of the joints of an arm at one time, as passed to a joint law.
 
     Attributes:
-        angles: rad.
-        rates: rad/s.
+        angles: joint angles, rad.
+        rates: joint rates, rad/s.
         command: commanded angles, rad.
-        states: of the law's own, in rows.
-        pressures: supplied to both muscles of each joint, Pa; None where no law takes any.
+        states: internal states of the law, one row for each state.
+        pressures: pressures supplied to both muscles of each joint, Pa; None if no law takes
+            pressures.
     """
 
     angles: PerJoint
@@ -46,110 +50,126 @@ class JointState(NamedTuple):
 
 
 class AbstractJointLaw(eqx.Module):
-    """What acts in each joint: `torque`, and the `energy` that is stored in it. Laws add.
+    """A law of the torque in each joint (`torque`) and of the energy stored there (`energy`).
 
-    All joints are computed at once, and no joint may depend on another one. A law of `rows` states
-    has their `rate`, or what they slide by (`return_mapped`), and where they depend on the way of a
-    joint alone what they are after one (`travelled`). One that is driven by pressures has
-    `commanded`. What solvers need besides follows by derivatives. Its parameters are declared as
-    all others (`giajax.schema.parameters.parameter`) and have paths as `joints.laws.CLASS.NAME`.
+    The torques of all laws of an arm are added. All joints are computed at once, and no joint may
+    depend on another joint. A law with `rows` internal states defines their `rate`, or their values
+    after a motion in which elements slide (`return_mapped`). If the states depend only on the path
+    of the joint angle, the law can define their values after a motion (`travelled`). A law driven
+    by pressures defines `commanded`. All other quantities that solvers require are computed by
+    differentiation. The parameters of a law are declared like all others
+    (`giajax.schema.parameters.parameter`) and have paths of the form `joints.laws.CLASS.NAME`.
     `check_joint_law` tests a law.
     """
 
     registered_as: ClassVar[str] = "joint"
     passive: ClassVar[bool] = True
-    """Whether the law claims never to give more energy than it has stored."""
+    """Whether the law never releases more energy than it has stored."""
     largest_angle: ClassVar[float] = np.inf
-    """Up to where `stiffest` is a bound, rad; beyond, steps are left to the control of errors."""
+    """Angle (rad) up to which `stiffest` is a bound. Beyond it, error control limits the steps."""
 
     @property
     @optional
     def rows(self) -> int:
-        """Own states of each joint, a constant."""
+        """Number of internal states of each joint, a constant."""
         return 0
 
     @abc.abstractmethod
     def torque(self, at: JointState) -> PerJoint:
-        """Torque on each joint, in the direction of its angle, N m."""
+        """Return the torque on each joint in the direction of its angle, N m."""
 
     @abc.abstractmethod
     def energy(self, at: JointState) -> PerJoint:
-        """Energy that is stored in each joint and given back, whatever its rate, J."""
+        """Return the recoverable energy stored in each joint, J; it must not depend on the rate."""
 
     @optional
     def unstrained(self, angles: PerJoint) -> States:
-        """The states of joints that were never moved from these angles (rad); 0 by default."""
+        """Return the states of joints that have always been at these angles (rad); 0 by default."""
         return jnp.zeros((self.rows, angles.size), angles.dtype)
 
     @optional
     def settled(self, at: JointState) -> States:
-        """The states at the beginning of a motion, at these pressures; `unstrained` by default."""
+        """Return the states at the start of a motion, at these pressures; `unstrained` by default.
+
+        The states in `at` are not used.
+        """
         return self.unstrained(at.angles)
 
     @optional
     def commanded(self, command: PerJoint) -> Supply:
-        """Pressures (Pa) that a controller supplies for commanded angles (rad).
+        """Return the pressures (Pa) that a controller supplies for commanded angles (rad).
 
-        A law with this method takes `pressures`, an arm has one at most, and those of a run take
-        the place of these. Without a controller they are 0.
+        A law that defines this method takes `pressures`. An arm has at most one such law. The
+        pressures of a run replace those of the controller. Without a controller, the pressures are
+        0.
         """
         return jnp.zeros((2, command.size), command.dtype)
 
     @optional
     def inside(self, at: JointState) -> Supply:
-        """Pressures in the muscles, Pa: those supplied, unless they lag."""
+        """Return the pressures in the muscles, Pa: the supplied pressures, unless they lag."""
         assert at.pressures is not None
         return at.pressures
 
     @property
     def takes_pressures(self) -> bool:
-        """Whether pressures drive it."""
+        """Whether the law is driven by pressures."""
         return type(self).commanded is not AbstractJointLaw.commanded
 
     @optional
     def rate(self, at: JointState) -> States:
-        """How fast the states change, 1/s; not at all by default."""
+        """Return the time derivative of the states, 1/s; 0 by default."""
         return jnp.zeros_like(at.states)
 
     @optional
     def return_mapped(self, angles: PerJoint, states: States) -> States:
-        """The states after a motion to these angles (rad) in which no joint turned round."""
+        """Return the states after a motion to these angles (rad) in which no joint reversed."""
         del angles
         return states
 
     @optional
     def travelled(self, begin: PerJoint, end: PerJoint, states: States) -> States:
-        """The states after a motion between these angles (rad) in which no joint turned round.
+        """Return the states after a motion between two angles (rad) in which no joint reversed.
 
-        Of a law whose states depend on the way alone, however fast it is: solvers follow it then
-        from turn to turn, and their steps need not end there. By default `return_mapped`.
+        This method is for laws whose states depend only on the path of the joint angle and not on
+        its rate. Solvers then compute the states from one reversal to the next, and a time step
+        need not end at a reversal. The default is `return_mapped`.
         """
         del begin
         return self.return_mapped(end, states)
 
     @optional
     def along(self, way: Float[Array, "corner joint"], states: States) -> States:
-        """The states after a motion by these corners (rad), between which `travelled` holds."""
+        """Return the states after a motion along a path of angles (rad).
+
+        Between two neighbouring rows of `way`, no joint reverses, so `travelled` applies.
+        """
         for begin, end in itertools.pairwise(way):
             states = self.travelled(begin, end, states)
         return states
 
     @optional
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
-        """Stiffness (N m/rad) and damping (N m s/rad), at constant states: how the torque falls."""
+        """Return stiffness (N m/rad) and damping (N m s/rad) at constant states.
+
+        They are the negative derivatives of the torque with respect to angle and rate.
+        """
         stiffness = slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
         damping = slope(lambda x: self.torque(at._replace(rates=x)), at.rates)
         return -stiffness, -damping
 
     @optional
     def stiffest(self, at: JointState) -> PerJoint:
-        """Largest stiffness at these angles, N m/rad; with what the states add in a motion."""
+        """Return the largest stiffness at these angles, N m/rad.
+
+        It includes the stiffness due to the change of the states in a motion.
+        """
         torque, filling, _ = self.state_slopes(at)
         return self.slopes(at)[0] + jnp.sum(torque * filling, axis=0)
 
     @optional
     def dissipation(self, at: JointState) -> PerJoint:
-        """Power that becomes heat, W: what of the torque's power is not stored."""
+        """Return the dissipated power, W: the power taken from the joints that is not stored."""
 
         def energy(angles: Array, states: Array) -> Array:
             return self.energy(at._replace(angles=angles, states=states))
@@ -159,14 +179,16 @@ class AbstractJointLaw(eqx.Module):
 
     @optional
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
-        """How torque and own states depend on each other; what would run away is left out.
+        """Return the derivatives by which torque and internal states depend on each other.
+
+        Terms that would be unstable are set to 0.
 
         Returns:
-            Torque of a unit of each state, against the motion, N m; change of each state with the
-            angle of its joint, 1/rad; and rate at which each falls back by itself, 1/s.
+            Torque against the motion per unit of each state, N m; change of each state with the
+            angle of its joint, 1/rad; and decay rate of each state, 1/s.
         """
         if not self.rows or type(self).rate is AbstractJointLaw.rate:
-            # Where such a state slides, the torque does not change.
+            # While an element without a rate slides, its torque is constant.
             return (jnp.zeros_like(at.states),) * 3
 
         def of(states: Array) -> tuple[Array, Array]:
@@ -186,14 +208,17 @@ class AbstractJointLaw(eqx.Module):
     @property
     @optional
     def slides(self) -> bool:
-        """Whether states depend on the way alone: those with `travelled`, or without a rate."""
+        """Whether the states depend only on the path of the joint angle.
+
+        This is the case if the law defines `travelled`, or `return_mapped` but no `rate`.
+        """
         own, given = type(self), AbstractJointLaw
         mapped = own.return_mapped is not given.return_mapped and own.rate is given.rate
         return own.travelled is not given.travelled or mapped
 
 
 def slope(of: Callable[[Array], Array], at: Array) -> Array:
-    # No joint depends on another one, so that one derivative along all at once is the diagonal.
+    # No joint depends on another joint, so one directional derivative gives the whole diagonal.
     return jax.jvp(of, (at,), (jnp.ones_like(at),))[1]
 
 
@@ -201,29 +226,29 @@ T = TypeVar("T")
 
 
 class JointLaws(AbstractJointLaw):
-    """The sum of laws, at least one; its states are theirs, law after law."""
+    """The sum of one or more laws. Its states are the states of the laws, stacked in order."""
 
     laws: tuple[AbstractJointLaw, ...]
 
     @property
     def rows(self) -> int:
-        """Own states of each joint, of all laws."""
+        """Number of internal states of each joint, summed over the laws."""
         return sum(law.rows for law in self.laws)
 
     @property
     def mapped(self) -> bool:
-        """Whether states of one follow the angles of the joints, at least at the end of a step."""
+        """Whether a law has states that are updated from the joint angles at the end of a step."""
         plain = AbstractJointLaw.return_mapped
         return self.slides or any(type(law).return_mapped is not plain for law in self.laws)
 
     @property
     def slides(self) -> bool:
-        """Whether states of one depend on the way alone."""
+        """Whether a law has states that depend only on the path of the joint angle."""
         return any(law.slides for law in self.laws if law.rows)
 
     @property
     def driven(self) -> AbstractJointLaw | None:
-        """The one that takes pressures; None where none does."""
+        """The law that takes pressures, or None."""
         return next((law for law in self.laws if law.takes_pressures), None)
 
     def at(
@@ -234,9 +259,12 @@ class JointLaws(AbstractJointLaw):
         states: States | None = None,
         pressures: Supply | None = None,
     ) -> JointState:
-        """Joints at angles (rad), rates (rad/s) and commands (rad).
+        """Return the state of joints at angles (rad), rates (rad/s) and commands (rad).
 
-        By default without strain, and at the pressures (Pa) of the controller.
+        Arguments:
+            angles, rates, command: joint angles, joint rates and commanded angles.
+            states: internal states of all laws; by default those at the start of a motion.
+            pressures: pressures supplied to the muscles, Pa; by default those of the controller.
         """
         if pressures is None and self.driven is not None:
             pressures = self.driven.commanded(command)
@@ -245,48 +273,51 @@ class JointLaws(AbstractJointLaw):
         return at._replace(states=self.settled(at)) if states is None else at
 
     def torque(self, at: JointState) -> PerJoint:
-        """Torque on each joint, N m."""
+        """Return the torque on each joint, N m."""
         return self._sum(at, lambda law, own: law.torque(own))
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy that is stored in each joint, J."""
+        """Return the energy stored in each joint, J."""
         return self._sum(at, lambda law, own: law.energy(own))
 
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
-        """Stiffness (N m/rad) and damping (N m s/rad) of all together."""
+        """Return the total stiffness (N m/rad) and damping (N m s/rad)."""
         return self._sum(at, lambda law, own: law.slopes(own))
 
     def stiffest(self, at: JointState) -> PerJoint:
-        """Bound of the stiffness of all together, N m/rad."""
+        """Return an upper bound of the total stiffness, N m/rad."""
         return self._sum(at, lambda law, own: law.stiffest(own))
 
     def dissipation(self, at: JointState) -> PerJoint:
-        """Power that becomes heat, W."""
+        """Return the dissipated power, W."""
         return self._sum(at, lambda law, own: law.dissipation(own))
 
     def unstrained(self, angles: PerJoint) -> States:
-        """The states of joints that were never moved from these angles (rad)."""
+        """Return the states of joints that have always been at these angles (rad)."""
         return self._rows(angles, lambda law: law.unstrained(angles))
 
     def settled(self, at: JointState) -> States:
-        """The states at the beginning of a motion."""
+        """Return the states at the start of a motion."""
         return self._rows(at.angles, lambda law: law.settled(at))
 
     def rate(self, at: JointState) -> States:
-        """How fast the states change, 1/s."""
+        """Return the time derivative of the states, 1/s."""
         rates = [law.rate(own) for law, own in self.each(at) if law.rows]
         return jnp.concatenate(rates) if rates else at.states
 
     def return_mapped(self, angles: PerJoint, states: States) -> States:
-        """The states after a motion to these angles (rad) in which no joint turned round."""
+        """Return the states after a motion to these angles (rad) in which no joint reversed."""
         parts = self.each(JointState(angles, angles, angles, states))
         mapped = [law.return_mapped(angles, own.states) for law, own in parts if law.rows]
         return jnp.concatenate(mapped) if mapped else states
 
     def followed(self, way: Float[Array, "corner joint"], held: States, states: States) -> States:
-        """The states after a way by corners (rad), of those that depend on it alone.
+        """Return the states after a motion along a path of angles.
 
-        They are `held` at its beginning; `states` are those of the others, at its end.
+        Arguments:
+            way: angles of the path, rad; no joint reverses between two neighbouring rows.
+            held: states at the start of the path, used for laws whose states depend only on it.
+            states: states at the end of the path, used for all other laws.
         """
         mapped, row = [states[:0]], 0
         for law, own in self.each(JointState(way[-1], way[-1], way[-1], states)):
@@ -298,16 +329,16 @@ class JointLaws(AbstractJointLaw):
         return jnp.concatenate(mapped)
 
     def state_slopes(self, at: JointState) -> tuple[States, States, States]:
-        """How torques and states depend on each other, law after law."""
+        """Return the derivatives of torques and states, stacked in the order of the laws."""
         parts = [law.state_slopes(own) for law, own in self.each(at) if law.rows]
         torque, filling, forgetting = map(jnp.concatenate, zip(*parts, strict=True))
         return torque, filling, forgetting
 
     def each(self, at: JointState) -> Iterator[tuple[AbstractJointLaw, JointState]]:
-        """The laws, with the joints as each of them sees them."""
+        """Yield each law with the joint state that contains only its own states."""
         row = 0
         for law in self.laws:
-            # Without an operation where they are all.
+            # No slice is needed if all states belong to this law.
             own = slice(row, row + law.rows)
             yield law, at if law.rows == self.rows else at._replace(states=at.states[own])
             row += law.rows
@@ -325,20 +356,20 @@ class JointLaws(AbstractJointLaw):
 class Spring(AbstractJointLaw):
     """A spring that pulls towards the commanded angle.
 
-    That is one whose initial length can change (paper, III.A).
+    It is the spring of section III.A of the paper, whose initial length can change.
 
     Attributes:
-        stiffness: N m/rad.
+        stiffness: stiffness, N m/rad.
     """
 
     stiffness: Each
 
     def torque(self, at: JointState) -> PerJoint:
-        """Towards the command, N m."""
+        """Return the torque towards the command, N m."""
         return self.stiffness * (at.command - at.angles)
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy of the deflection, J."""
+        """Return the energy of the deflection, J."""
         return self.stiffness * (at.angles - at.command) ** 2 / 2
 
 
@@ -346,37 +377,37 @@ class Damper(AbstractJointLaw):
     """Viscous damping.
 
     Attributes:
-        damping: N m s/rad.
+        damping: damping coefficient, N m s/rad.
     """
 
     damping: Each
 
     def torque(self, at: JointState) -> PerJoint:
-        """Against the rate, N m."""
+        """Return the torque against the rate, N m."""
         return -(self.damping * at.rates)
 
     def energy(self, at: JointState) -> PerJoint:
-        """None, J."""
+        """Return zero, because the law stores no energy, J."""
         return jnp.zeros_like(at.rates)
 
 
 class CoulombFriction(AbstractJointLaw):
-    """Coulomb friction f tanh(v / v0), smooth at rest.
+    """Coulomb friction f tanh(v / v0), which is smooth at rest.
 
     Attributes:
-        strength: f, N m.
-        scale: v0, rad/s.
+        strength: friction torque f, N m.
+        scale: rate v0, rad/s.
     """
 
     strength: Each
     scale: Scalar
 
     def torque(self, at: JointState) -> PerJoint:
-        """Against the rate, N m."""
+        """Return the torque against the rate, N m."""
         return -(self.strength * jnp.tanh(at.rates / self.scale))
 
     def energy(self, at: JointState) -> PerJoint:
-        """None, J."""
+        """Return zero, because the law stores no energy, J."""
         return jnp.zeros_like(at.rates)
 
 
@@ -385,10 +416,10 @@ _each_joint = functools.partial(parameter, lower=0, each=True, per="joint")
 
 @register
 class Hardening(AbstractJointLaw):
-    """A spring that becomes stiffer with its deflection d from the commanded angle.
+    """A spring whose stiffness increases with its deflection d from the commanded angle.
 
-    Its torque is -(k3 d^3 + k5 d^5), beside that of the joint's own spring, which is the linear
-    part, and pulls towards the command, too.
+    Its torque is -(k3 d^3 + k5 d^5). It acts in addition to the linear spring of the joint, which
+    also pulls towards the command.
     """
 
     kind: ClassVar[str] = "hardening"
@@ -408,24 +439,24 @@ class Hardening(AbstractJointLaw):
     )
 
     def torque(self, at: JointState) -> PerJoint:
-        """Towards the command, N m."""
+        """Return the torque towards the command, N m."""
         deflection = at.angles - at.command
         square = deflection**2
         return -deflection * square * (self.cubic + self.quintic * square)
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy of the deflection, J."""
+        """Return the energy of the deflection, J."""
         square = (at.angles - at.command) ** 2
         return square**2 * (self.cubic / 4 + self.quintic / 6 * square)
 
 
 @register
 class EndStops(AbstractJointLaw):
-    """Ends of the range of a joint: springs that it meets at an angle below and one above.
+    """End stops of a joint: springs that act beyond a lower and an upper angle.
 
-    They come on smoothly, over `blend`, and take energy as contacts do (`Contact.damping`): a
-    closing stop presses (1 + damping times rate) times as hard, an opening one softer, and none
-    pulls.
+    Their stiffness increases smoothly over the range `blend`. They dissipate energy like contacts
+    (`Contact.damping`): the torque is multiplied by (1 + damping times closing rate), which makes
+    it smaller while the stop opens, and it never becomes negative.
     """
 
     kind: ClassVar[str] = "end_stops"
@@ -439,24 +470,24 @@ class EndStops(AbstractJointLaw):
         0.0,
         unit="s/rad",
         upper=1e3,
-        doc="relative increase of the torque of the stops per closing rate",
+        doc="relative increase in the torque of the end stop per unit of penetration rate",
     )
     blend: Each = _each_joint(
         0.02,
         unit="rad",
         lower=1e-6,
         upper=1,
-        doc="range of angle over which the stops reach their full stiffness",
+        doc="angular range over which the stops reach their full stiffness",
     )
 
     def torque(self, at: JointState) -> PerJoint:
-        """Back into the range, N m."""
+        """Return the torque back into the range, N m."""
         return self._force(self.lower - at.angles, -at.rates) - self._force(
             at.angles - self.upper, at.rates
         )
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy of both stops, J."""
+        """Return the energy of both stops, J."""
         return self._stored(self.lower - at.angles) + self._stored(at.angles - self.upper)
 
     def _force(self, beyond: Array, closing: Array) -> Array:
@@ -470,23 +501,26 @@ class EndStops(AbstractJointLaw):
 
 
 class Memory(AbstractJointLaw):
-    """A Bouc-Wen element in each joint: it resists with strength z, where z is its state.
+    """A Bouc-Wen element in each joint, which resists the motion with the torque strength times z.
+
+    The state z depends on the rate v of the joint:
 
         dz/dt = (v - (1 - delta) |v| |z|^(nu - 1) z - delta v |z|^nu) / yield_angle
 
-    of the joint's rate v, so that |z| never passes 1. With nu = 1 and delta = 0, the defaults, it
-    is Dahl's model of friction; with a large nu and delta = 1/2 an elastic spring that slides.
+    |z| never exceeds 1. With the default values nu = 1 and delta = 0, this is the Dahl model of
+    friction. With a large nu and delta = 1/2, it is an elastic spring that slides beyond its yield
+    angle.
 
     References: Y.-K. Wen, J. Eng. Mech. Div. 102 (1976) 249-263; P. R. Dahl, AIAA J. 14 (1976)
     1675-1682; M. Ismail et al., Arch. Comput. Methods Eng. 16 (2009) 161-188.
 
     Arguments:
-        strength: largest torque, N m; None where joints have no such element.
-        yield_angle: strength over the stiffness at the beginning of a motion, rad.
+        strength: largest torque, N m; None if the joints have no such element.
+        yield_angle: strength divided by the stiffness at the start of a motion, rad.
         nu: sharpness of the knee.
-        delta: shape of the loop; at most 1/2, where unloading is elastic: an element with more
-            would give energy away.
-        initial: z at the beginning of a motion; None: 0.
+        delta: shape of the loop, at most 1/2. With 1/2, unloading is elastic. With a larger value,
+            the element would generate energy.
+        initial: z at the start of a motion; None means 0.
     """
 
     strength: Each | None = parameter(JOINT_MEMORY.strength)
@@ -497,40 +531,40 @@ class Memory(AbstractJointLaw):
 
     @property
     def rows(self) -> int:
-        """States of each joint."""
+        """Number of states of each joint."""
         return 0 if self.strength is None else 1
 
     def settled(self, at: JointState) -> States:
-        """The states at the beginning of a motion: what was before may have strained a joint."""
+        """Return the states at the start of a motion, which an earlier motion may have strained."""
         if self.initial is None:
             return self.unstrained(at.angles)
         return jnp.broadcast_to(self.initial, (self.rows, at.angles.size))
 
     def torque(self, at: JointState) -> PerJoint:
-        """Torque against the strain, N m."""
+        """Return the torque against the strain, N m."""
         return -(self._strength * at.states[0])
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy of the strain, J."""
+        """Return the energy of the strain, J."""
         return self._strength * self.yield_angle * at.states[0] ** 2 / 2
 
     def rate(self, at: JointState) -> States:
-        """How fast the states change, 1/s."""
+        """Return the time derivative of the states, 1/s."""
         one, gamma = jnp.ones(()), 1 - self.delta
         rate = bouc_wen_rate(at.rates, at.states[0], one, one, gamma, self.delta, self.nu)
         return (rate / self.yield_angle)[None]
 
     def travelled(self, begin: PerJoint, end: PerJoint, states: States) -> States:
-        """The states after a motion between these angles (rad) in one direction."""
+        """Return the states after a motion between two angles (rad) in one direction."""
         return self.along(jnp.stack([begin, end]), states)
 
     def along(self, way: Float[Array, "corner joint"], states: States) -> States:
-        """The states after a motion by these corners (rad)."""
+        """Return the states after a motion along a path of angles (rad)."""
         legs = jnp.diff(way, axis=0) / self.yield_angle
         return bouc_wen_after(legs, states[0], self.nu, self.delta)[None]
 
     def stiffest(self, at: JointState) -> PerJoint:
-        """That of an element which slid, at the turn, N m/rad."""
+        """Return the stiffness of a sliding element directly after a reversal, N m/rad."""
         largest = 2 * (1 - self.delta) * self._strength / self.yield_angle
         return jnp.broadcast_to(largest, at.angles.shape)
 
@@ -541,19 +575,20 @@ class Memory(AbstractJointLaw):
 
 
 class Stops(AbstractJointLaw):
-    """Elastic springs in parallel that slide, each from its own angle on: Iwan's model.
+    """Parallel elastic springs, each of which slides beyond its own yield angle (Iwan model).
 
-    The state of each is the angle at which it is without strain. It moves with the joint where
-    the element slides, which is the play operator of `giajax.mechanics.hysteresis`.
+    The state of each element is the joint angle at which its strain is zero. While the element
+    slides, this angle moves with the joint. The state is therefore the play operator of
+    `giajax.mechanics.hysteresis`.
 
     Reference: W. D. Iwan, J. Appl. Mech. 33 (1966) 893-900.
 
     Arguments:
-        strength: torque at which each slides, N m; None where joints have none.
-        yield_angle: strain at which each slides, rad; one for all or one for each.
+        strength: torque at which each element slides, N m; None if the joints have no elements.
+        yield_angle: strain at which each element slides, rad; one value for all, or one for each.
 
     Raises:
-        InputError: another number of angles than of strengths.
+        InputError: the numbers of strengths and yield angles differ.
     """
 
     strength: Float[Array, ""] | Float[Array, " stop"] | None = parameter(JOINT_STOPS.strength)
@@ -567,50 +602,50 @@ class Stops(AbstractJointLaw):
             raise InputError(
                 f"joints.stops has strengths of shape {self.strength.shape} and yield angles of "
                 f"shape {self.yield_angle.shape}: give one strength and one yield angle for each "
-                f"element"
+                "element"
             )
 
     @property
     def rows(self) -> int:
-        """States of each joint."""
+        """Number of states of each joint."""
         return 0 if self.strength is None else max(self.strength.size, self.yield_angle.size)
 
     def unstrained(self, angles: PerJoint) -> States:
-        """The states of a joint that was never moved from these angles (rad), rad."""
+        """Return the states of joints that have always been at these angles (rad), rad."""
         return jnp.broadcast_to(angles, (self.rows, angles.size))
 
     def return_mapped(self, angles: PerJoint, states: States) -> States:
-        """The states (rad) after a motion to these angles (rad) in one direction."""
+        """Return the states (rad) after a motion to these angles (rad) in one direction."""
         width = self._yield_angles
         return limited(states, angles[None] - width, angles[None] + width)
 
     def torque(self, at: JointState) -> PerJoint:
-        """Torque against the strain, N m."""
+        """Return the torque against the strain, N m."""
         return -jnp.sum(self._strengths * self._strain(at), axis=0)
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy of the strain, J."""
+        """Return the energy of the strain, J."""
         stored = self._strengths * self._yield_angles * self._strain(at) ** 2 / 2
         return jnp.sum(stored, axis=0)
 
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
-        """The stiffness of those that do not slide on, N m/rad; no damping."""
+        """Return the stiffness of the elements that do not slide, N m/rad, and zero damping."""
         stiffness = self._strengths / self._yield_angles
         stiffness = jnp.sum(jnp.where(self._slide(at), 0, stiffness), axis=0)
         return stiffness, jnp.zeros_like(stiffness)
 
     def dissipation(self, at: JointState) -> PerJoint:
-        """Power that becomes heat where elements slide, W."""
+        """Return the power dissipated by sliding elements, W."""
         heat = self._strengths * jnp.abs(at.rates)[None]
         return jnp.sum(jnp.where(self._slide(at), heat, 0), axis=0)
 
     def _strain(self, at: JointState) -> States:
-        """Strain of each over its yield angle, between -1 and 1."""
+        """Return the strain of each element divided by its yield angle, between -1 and 1."""
         return limited((at.angles[None] - at.states) / self._yield_angles, -1, 1)
 
     def _slide(self, at: JointState) -> Bool[Array, "row joint"]:
         strain, width = at.angles[None] - at.states, self._yield_angles
-        # One that slides is at its limit but for rounding.
+        # The strain of a sliding element equals the yield angle except for rounding.
         size = jnp.abs(at.angles)[None] + width
         rounding = _ROUNDING * jnp.finfo(at.angles.dtype).eps * size
         return (jnp.abs(strain) > width - rounding) & (strain * at.rates[None] > 0)
@@ -627,11 +662,11 @@ class Stops(AbstractJointLaw):
 
 
 class JointHysteresis(eqx.Module):
-    """Hysteresis of the joints, beside their springs; by default there is none.
+    """Hysteresis of the joints, in parallel with their springs; disabled by default.
 
-    It depends on the way of a joint and not on its rate: after a motion to and fro the joint does
-    not come back to where it was, however slowly it moves. Its states are those of `memory`, and
-    then those of `stops`.
+    Hysteresis depends on the path of the joint angle and not on its rate. After a motion in one
+    direction and back, a joint does not return to its initial angle, even if it moves slowly. The
+    states are those of `memory`, followed by those of `stops`.
     """
 
     memory: Memory = eqx.field(default_factory=Memory)
@@ -639,5 +674,5 @@ class JointHysteresis(eqx.Module):
 
     @property
     def laws(self) -> tuple[AbstractJointLaw, ...]:
-        """Those that joints have."""
+        """The hysteresis laws that are enabled."""
         return tuple(law for law in (self.memory, self.stops) if law.rows)

@@ -1,4 +1,4 @@
-"""A law of joints on trial: what it returns, its derivatives, and whether it makes energy."""
+"""Test of a joint law: returned values, derivatives, and conservation of energy."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -17,35 +17,39 @@ from ...runtime.text import InputError, tried
 from ...schema.parameters import is_concrete
 from ._joint_laws import AbstractJointLaw, JointState, States
 
-# Half the way of each motion to and fro (rad), and how often it is made in a second.
+# Amplitude (rad) and frequency (Hz) of each oscillation.
 _MOTIONS = ((1e-3, 1.0), (0.03, 0.3), (0.4, 2.0), (1.5, 0.5), (0.0, 0.0), (0.3, 0.0))
 _SAMPLES, _CYCLES = 96, 2.0
-_STEP = 1e-7  # of differences, in rad, s and so on
+_STEP = 1e-7  # step of finite differences, in SI units
 _PRESSURE = 1e5  # Pa
-_MOST_STEPS = 1000  # of the states between two samples; what is quicker is tried where it got to
+_MOST_STEPS = 1000  # integration steps of the states between two samples, at most
 _SLOPES, _POWERS = 1e-2, 1e-3  # tolerances
 
 _PASSED: set[tuple[type, int, str]] = set()
 
 
 def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
-    """Try a law on so many joints that move to and fro under a held command, and at rest.
+    """Test a joint law on joints that oscillate under constant commands, and on joints at rest.
 
-    Where it takes pressures, these are held, too.
+    If the law takes pressures, these are also constant. A traced law is not tested.
 
-    While a program is traced nothing is checked.
+    Arguments:
+        law: the joint law.
+        joints: number of joints.
 
     Raises:
-        InputError: naming the method and what is wrong: an exception, a shape, a type of numbers,
-            a value or a derivative that is not finite, a derivative that is not that of the
-            differences, a joint that depends on another one, an energy that depends on the rate,
-            or more energy than the law has stored, unless its `passive` is False.
+        InputError: a method raises an exception, returns a wrong shape or number type, has a value
+            or derivative that is not finite, has a derivative that does not match finite
+            differences, makes a joint depend on another joint, makes the energy depend on the rate,
+            or releases more energy than the law has stored (unless `passive` is False). The message
+            names the method.
     """
     if not is_concrete(law):
         return
     key: Any = None
     with suppress(NoStructureError):
-        # A notebook has another class of the same name, once a cell is run again.
+        # The class itself is a part of the key, because a notebook cell that is run again creates
+        # another class with the same name.
         key = type(law), joints, content(law)
     if key in _PASSED:
         return
@@ -60,7 +64,7 @@ def check_joint_law(law: AbstractJointLaw, joints: int = 7) -> None:
         _PASSED.add(key)
 
 
-# Of a way in one direction, rad, and by how much its halves may come to something else.
+# Length of a path in one direction, rad, and relative tolerance for the result of its two halves.
 _WAY, _LEGS = 0.05, 1e-3
 
 
@@ -104,7 +108,7 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
         if kinds:
             raise InputError(
                 f"{name}.{method} returns {kinds.pop()}, but the angles are {each.dtype}: return "
-                f"numbers of the same type as the angles"
+                "numbers of the same type as the angles"
             )
 
 
@@ -112,7 +116,7 @@ def _check_shapes(law: AbstractJointLaw, joints: int) -> None:
 def _tried(
     law: AbstractJointLaw, size: Scalar, frequency: Scalar, phases: Float[Array, "2 joint"]
 ) -> tuple[JointState, dict[str, Any]]:
-    """The joints at each sample of a motion, and what is found there."""
+    """Return the joint state at each sample of a motion, and the quantities of `_found` there."""
     first, second = phases
     turn = 2 * np.pi * frequency
     span = _CYCLES / jnp.where(frequency > 0, frequency, 1)
@@ -140,7 +144,10 @@ def _tried(
 def _integrated(
     rate: Callable[[Any, States], States], states: States, time: Scalar, end: Scalar
 ) -> States:
-    """States at the end, by Heun's method in steps that are as short as they must be."""
+    """Return the states at the end of an interval, by Heun's method with adaptive steps.
+
+    The integration ends early after `_MOST_STEPS` steps.
+    """
     if not states.size:
         return states
 
@@ -181,14 +188,18 @@ def _values(law: AbstractJointLaw, at: JointState) -> dict[str, Array]:
 
 
 def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
-    """Values, slopes with the differences to both sides, joints that others move, and powers."""
+    """Compute all quantities that `_judge` checks at one sample.
+
+    These are values, derivatives with finite differences to both sides, the influence of other
+    joints, and powers.
+    """
     parameters, rest = eqx.partition(law, eqx.is_inexact_array)
     given: dict[str, Any] = {**at._asdict(), "parameters": parameters}
     if at.pressures is None:
         del given["pressures"]
     here = _values(law, at)
 
-    # Of a parameter in its own size, where it is large.
+    # The step of a large parameter is proportional to the parameter.
     along = {
         name: jax.tree.map(jnp.ones_like if name in at._fields else _size, value)
         for name, value in given.items()
@@ -202,7 +213,10 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
         return _values(whole, JointState(**own))
 
     def aside(steps: Array) -> dict[str, Array]:
-        """Differences where each of what is given is a step away, over the only one that is."""
+        """Return the finite differences for a step in one of the given values.
+
+        `steps` contains the step of each given value; all but one are 0.
+        """
         moved = {
             name: jax.tree.map(lambda x, dx, step=step: x + step * dx, value, along[name])
             for (name, value), step in zip(given.items(), steps, strict=True)
@@ -218,8 +232,11 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
         return slope, *(jax.tree.map(lambda x, at=at: x[at], sides) for at in both)
 
     def others(moved: Array) -> dict[str, Array]:
-        """What changes of all joints but one where that one is elsewhere."""
-        # Each by another length, so that a difference of two is moved, too.
+        """Return the largest changes of the values of all other joints if one joint is displaced.
+
+        `moved` is true for the joint that is displaced.
+        """
+        # The displacements differ, so that differences between two values change as well.
         rows = 0.004 * np.arange(1, law.rows + 1)[:, None]
         lengths = JointState(*map(jnp.asarray, (0.01, 0.013, -0.007, rows)))
         if at.pressures is not None:
@@ -246,7 +263,8 @@ def _found(law: AbstractJointLaw, at: JointState) -> dict[str, Any]:
         "others": jax.vmap(others)(jnp.eye(at.angles.size, dtype=bool)),
         "taken": -(here["torque"] + law.torque(after)) / 2 * at.rates,
         "stored": (law.energy(after) - here["energy"]) / _STEP,
-        # On a surface at which something begins to slide, rounding decides on which side it is.
+        # At the onset of sliding, rounding determines on which side the state is. Both values are
+        # therefore permitted.
         "dissipation": (law.dissipation(at), law.dissipation(after)),
         "falling": law.slopes(at),
         "stiffest": law.stiffest(at),
@@ -268,7 +286,7 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
         return sum(float(np.max(np.abs(value), initial=0)) for value in values) + 1e-9
 
     def between(slope: np.ndarray, slopes: Sequence[np.ndarray], margin: float) -> np.ndarray:
-        """Whether it is one of the slopes to both sides, which differ at a corner."""
+        """Return whether a slope lies between the slopes on both sides, which differ at a kink."""
         low, high = np.fmin(*slopes), np.fmax(*slopes)
         inside: np.ndarray = (low - margin <= slope) & (slope <= high + margin)
         return inside
@@ -284,14 +302,14 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
         refuse(method, "depends on another joint", moves, apart)
         for given, parts in found["slopes"].items():
             slope, *slopes = (part[method] for part in parts)
-            what = f"has a derivative with respect to its {given} that is not"
-            refuse(method, f"{what} finite", ~np.isfinite(slope), finite)
+            what = f"has a derivative with respect to the {given} that"
+            refuse(method, f"{what} is not finite", ~np.isfinite(slope), finite)
             wrong = ~between(slope, slopes, _SLOPES * largest(slope, value))
             refuse(
                 method,
-                f"{what} that of finite differences",
+                f"{what} does not match finite differences",
                 wrong,
-                "correct its rule, or remove it",
+                "correct its custom derivative rule, or remove it",
             )
     moves = found["slopes"]["rates"][0]["energy"] != 0
     refuse(
@@ -323,7 +341,7 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
     margin = _POWERS * size + 1e-6 * largest(size) + 1e-8 * largest(found["values"]["energy"])
     if law.passive:
         what = f"releases more energy than {name}.energy had stored"
-        refuse("torque", what, lost < -margin, "correct one of them, or state passive = False")
+        refuse("torque", what, lost < -margin, "correct one of them, or set passive = False")
     if type(law).dissipation is not AbstractJointLaw.dissipation:
         what = "does not match the loss from torque and energy"
         wrong = ~between(lost, found["dissipation"], margin)

@@ -1,7 +1,8 @@
-"""Where the links are and how they move, all in the base frame.
+"""Kinematics of the chain: poses and velocities of the links in the base frame.
 
-With every vector in one frame, each recursion along the chain is a cumulative sum; only the
-rotations need a loop of their own. Rows are `(3, link)` inside and `(link, 3)` in public functions.
+All vectors are in one frame, so each recursion along the chain is a cumulative sum. Only the
+rotations require a loop. Arrays of vectors have the shape `(3, link)` internally and `(link, 3)` in
+public functions.
 """
 
 import functools
@@ -30,11 +31,15 @@ Rows = Float[Array, "3 link"]
 
 
 class Pose(NamedTuple):
-    """Configuration of the chain in the base frame, component first.
+    """Configuration of the chain in the base frame. The first axis of each array is the component.
 
-    Unit vectors along each link and of each joint's axis; positions of each link's joint, of its
-    geometric centre and of its centre of mass, with all that it carries, m; and the unit vector to
-    the left of each link, None where nothing lies off the axis.
+    Attributes:
+        direction: unit vector along each link.
+        axis: unit vector of each joint axis.
+        joint: position of the joint of each link, m.
+        centre: position of the geometric centre of each link, m.
+        mass_centre: position of the centre of mass of each link and all that it carries, m.
+        left: unit vector to the left of each link; None if all masses lie on the axes of the links.
     """
 
     direction: Rows
@@ -46,18 +51,18 @@ class Pose(NamedTuple):
 
     @property
     def up(self) -> Rows:
-        """Unit vector upwards of each link, in its own frame."""
+        """Unit vector along the z axis (up in the straight arm) of the frame of each link."""
         assert self.left is not None
         return cross(self.direction, self.left)
 
 
 def sum_from_base(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
-    """Sum over this link and all links before it."""
+    """Sum over each link and all links before it."""
     return running_sum(x)
 
 
 def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
-    """Sum over this link and all links after it."""
+    """Sum over each link and all links after it."""
     return running_sum(x, backwards=True)
 
 
@@ -65,9 +70,13 @@ def sum_from_tip(x: Float[Array, "*row link"]) -> Float[Array, "*row link"]:
 def _orient(
     base: Array, angles: Array, axes: tuple[Axis, ...], sideways: bool
 ) -> tuple[Rows, Rows, Rows | None]:
-    """Directions of the links, axes of the joints and, if asked for, directions to the left.
+    """Return the directions of the links, the joint axes and, on request, the left directions.
 
-    `base` is a unit quaternion.
+    Arguments:
+        base: unit quaternion of the base.
+        angles: joint angles, rad.
+        axes: joint axes in the straight arm.
+        sideways: whether to return the unit vectors to the left of the links; otherwise None.
     """
     fixed = jnp.asarray(axes, dtype=angles.dtype).T
     turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), fixed)])
@@ -78,7 +87,7 @@ def _orient(
         after = quaternion_product(column(k - 1), column(k))
         return jax.lax.dynamic_update_slice_in_dim(turned, after, k, 1)
 
-    # In their own places: a scan would copy what it reads and what it writes.
+    # The loop updates the array in place. A scan would copy its inputs and outputs.
     whole = jnp.concatenate([first, turns[:, 1:]], axis=1)
     orientations = jax.lax.fori_loop(1, angles.size, compose, whole)
     w, x, y, z = orientations
@@ -89,9 +98,9 @@ def _orient(
 
 @_orient.def_jvp
 def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
-    """A change of the angles turns each link by a small rotation, which is a sum along the chain.
+    """Differentiate through the small rotation of each link, which is a sum along the chain.
 
-    The loop then stays out of every derivative, and with it most of their cost.
+    The loop is then not differentiated, which saves most of the cost of derivatives.
     """
     base, angles, axes, sideways = primals
     t_base, t_angles, *_ = tangents
@@ -107,7 +116,13 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
 
 
 def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
-    """Forward kinematics at joint angles (rad); `sideways` requests the links' whole frames."""
+    """Return the forward kinematics at joint angles.
+
+    Arguments:
+        arm: the arm.
+        angles: joint angles, rad.
+        sideways: whether to compute the left directions even if all masses lie on the link axes.
+    """
     base = rotation_vector_to_quaternion(arm.base_rotation)
     body = bodies(arm)
     sideways = sideways or body.across is not None
@@ -120,7 +135,7 @@ def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
 
 
 def beside_axis(body: Bodies, here: Pose) -> Rows | None:
-    """From each link's axis to its centre of mass, m; None where all lie on their axes."""
+    """Return the vectors from link axes to centres of mass, m; None if all lie on the axes."""
     if body.across is None:
         return None
     assert here.left is not None
@@ -128,27 +143,32 @@ def beside_axis(body: Bodies, here: Pose) -> Rows | None:
 
 
 def angular_velocities(pose: Pose, rates: PerJoint) -> Rows:
-    """Angular velocity of each link."""
+    """Return the angular velocity of each link, rad/s."""
     return sum_from_base(scaled(rates, pose.axis))
 
 
 def centre_velocities(arm: Arm, pose: Pose, angular_velocity: Rows) -> Rows:
-    """Velocity of each link's geometric centre: V_Gi of eq. (1)."""
+    """Return the velocity of the geometric centre of each link, m/s: V_Gi of eq. (1)."""
     span = cross(angular_velocity, scaled(arm.links.length, pose.direction))
     return sum_from_base(span) - span / 2
 
 
 def link_centres(arm: Arm, angles: PerJoint) -> Float[Array, "link 3"]:
-    """Positions of the links' geometric centres in the base frame at joint angles (rad), m."""
+    """Return the positions of the link centres in the base frame at joint angles (rad), m."""
     return pose(arm, angles).centre.T
 
 
 def tip_position(arm: Arm, angles: PerJoint) -> Float[Array, "3"]:
-    """Position of the end of the last link in the base frame at joint angles (rad), m."""
+    """Return the position of the end of the last link in the base frame at angles (rad), m."""
     return scaled(arm.links.length, pose(arm, angles).direction).sum(axis=-1)
 
 
 def link_velocities(arm: Arm, angles: PerJoint, rates: PerJoint) -> Float[Array, "link 3"]:
-    """Velocities of the links' geometric centres in the base frame, m/s, in rad and rad/s."""
+    """Return the velocities of the link centres in the base frame, m/s.
+
+    Arguments:
+        arm: the arm.
+        angles, rates: joint angles, rad, and joint rates, rad/s.
+    """
     here = pose(arm, angles)
     return centre_velocities(arm, here, angular_velocities(here, rates)).T

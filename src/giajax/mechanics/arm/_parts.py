@@ -1,4 +1,4 @@
-"""The parts of an arm: links, joints with their axes, masses, air, and the law of contact."""
+"""Parts of an arm: links, joints, buoyancy, point masses, air, and the contact law."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -33,14 +33,16 @@ YAW: Axis = (0.0, 0.0, 1.0)
 
 
 def named_axes(axes: str | Sequence[str | Sequence[float]], count: int) -> tuple[Axis, ...]:
-    """Unit axes (x, y, z) of so many joints from their names, in the frame of the straight arm.
+    """Return the unit axes (x, y, z) of joints in the frame of the straight arm.
 
     Arguments:
         axes: "pitch_yaw" (odd joints pitch, even joints yaw) or, for each joint, "pitch", "yaw"
             or a vector, which is normalised.
+        count: number of joints.
 
     Raises:
-        InputError: an unknown name, a zero vector, or a list of another length.
+        InputError: a name is unknown, a vector is zero, or the list does not have one axis for each
+            joint.
     """
     if axes == "pitch_yaw":
         return tuple(YAW if joint % 2 else PITCH for joint in range(count))
@@ -66,7 +68,7 @@ def _unit_axis(axis: str | Sequence[float]) -> Axis:
         raise InputError(
             f"the joint axis {list(axis)} is not a direction: give three numbers, not all zero"
         )
-    # A unit vector stays as it is, so that an arm comes back from its file bit for bit.
+    # A unit vector is not normalised again, so that an arm read from its file is identical.
     unit = vector if abs(norm - 1) < 1e-15 else vector / norm
     x, y, z = (float(component) for component in unit)
     return x, y, z
@@ -79,26 +81,29 @@ DRAG_CURVES = ("constant", "cylinder")
 """How C_D depends on the Reynolds number."""
 
 ADDED_MASSES = ("kirchhoff", "inertia")
-"""What added mass does beside resisting accelerations."""
+"""Models of added mass: with terms quadratic in the velocities, or without them."""
 
 
 class Air(eqx.Module):
-    """The air: by default as the paper's eq. (1) sees it, and on request all of it.
+    """The air: by default only the drag of eq. (1) of the paper; other effects are optional.
 
-    - `drag = "centre"`: eq. (1), with the full velocity of each link's centre.
-    - `drag = "strip"`: cross-flow drag, from the velocity normal to the link alone, integrated
-      along the link by `strip_points` Gauss points; `axial_coefficient` adds what acts along it.
-    - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": it follows the Reynolds
-      number as that of a smooth circular cylinder does, scaled so that `drag_coefficient` is its
-      value at Re = 1e5.
-    - `added_mass_coefficient`: the air that a link must move out of its way.
-    - `added_mass = "kirchhoff"`: with the terms that follow from its energy, which are products of
-      velocities. "inertia": without them, as in engines that add it to their mass matrix alone;
-      energy is not conserved then. It is here to compare with those.
-    - `wind`: a constant wind, beside that of the run.
-    - `law`: a law of drag of your own in place of all that, whose parameters are `air.law.NAME`.
-    - `wind_field`: a wind that is a function of place and time, beside both, whose parameters are
-      `air.wind_field.NAME`.
+    - `drag = "centre"`: eq. (1), with the full velocity of the centre of each link.
+    - `drag = "strip"`: cross-flow drag, which depends only on the velocity normal to the link. It
+      is integrated along the link with `strip_points` Gauss points. `axial_coefficient` adds the
+      drag along the link.
+    - `drag_curve = "constant"`: C_D is `drag_coefficient`. "cylinder": C_D depends on the Reynolds
+      number as for a smooth circular cylinder, scaled so that `drag_coefficient` is its value at
+      Re = 1e5.
+    - `added_mass_coefficient`: the air that a link accelerates in transverse motion.
+    - `added_mass = "kirchhoff"`: added mass with the terms that follow from its energy, which are
+      products of velocities. "inertia": added mass without these terms, as in engines that add it
+      only to their mass matrix. Energy is then not conserved. This option is intended for
+      comparison with such engines.
+    - `wind`: a constant wind, added to that of the run.
+    - `law`: a user-defined drag law that replaces the drag options, with parameters named
+      `air.law.NAME`.
+    - `wind_field`: a wind as a function of position and time, added to the other winds, with
+      parameters named `air.wind_field.NAME`.
     """
 
     density: Scalar = parameter(AIR.density)
@@ -129,7 +134,7 @@ class Air(eqx.Module):
 
     @property
     def drag_law(self) -> AbstractDragLaw:
-        """What drag follows from: `law`, or the one that the words name."""
+        """The drag law: `law`, or the law selected by `drag` and `drag_curve`."""
         if self.law is not None:
             return self.law
         if self.drag == "centre":
@@ -143,7 +148,7 @@ class Air(eqx.Module):
 
 
 class Links(eqx.Module):
-    """The rigid links, one element of each array per link."""
+    """The rigid links. Each array has one element per link."""
 
     length: Float[Array, " link"] = parameter(LINKS.length)
     diameter: Float[Array, " link"] = parameter(LINKS.diameter)
@@ -170,15 +175,15 @@ class Links(eqx.Module):
 
     @property
     def volume(self) -> Float[Array, " link"]:
-        """Air that each link displaces, m^3."""
+        """Volume of air that each link displaces, m^3."""
         return np.pi / 4 * self.diameter**2 * self.length * self.fullness
 
     @property
     def neck_pressure(self) -> Float[Array, ""] | Float[Array, " joint"]:
-        """Gauge pressure of the gas in the neck of each joint, Pa: the lower one of both links.
+        """Gauge pressure of the gas in the neck of each joint, Pa: the lower one of its two links.
 
-        Half of a neck belongs to either link, and both halves bear the same moment: it folds where
-        there is less gas. The first joint has that of the first link.
+        Half of a neck belongs to each link, and both halves bear the same moment, so the neck folds
+        on the side with the lower pressure. The first joint has the pressure of the first link.
         """
         pressure = self.pressure
         if pressure.ndim == 0:
@@ -187,16 +192,20 @@ class Links(eqx.Module):
 
     @property
     def end_force(self) -> Float[Array, " link"]:
-        """Force of the pressure on the end of each link, p pi r^2, N: what pulls more folds it."""
+        """Force p pi r^2 of the pressure on the end of each link, N.
+
+        A link folds if muscles pull its end with a larger force.
+        """
         return self.pressure * np.pi / 4 * self.diameter**2
 
 
 class Joints(eqx.Module):
-    """The joints: fixed axes, and a spring towards the commanded angle beside a damper.
+    """The joints: fixed axes, springs that pull towards the commanded angles, and dampers.
 
-    `laws` are further ones by name, whose parameters are `joints.laws.NAME.` and so on; they add.
-    A joint whose axis is nearer to vertical than to horizontal (in its own straight pose) is a
-    yaw joint and takes the yaw stiffness; every other one takes the pitch stiffness.
+    `laws` contains further joint laws by name, whose torques are added. Their parameters have paths
+    of the form `joints.laws.CLASS.NAME`. A joint whose axis in the straight arm is nearer to the
+    vertical than to the horizontal is a yaw joint, which has the yaw stiffness. All other joints
+    have the pitch stiffness.
     """
 
     axes: tuple[Axis, ...] = eqx.field(static=True)
@@ -221,15 +230,15 @@ class Joints(eqx.Module):
 
     @property
     def is_yaw(self) -> Bool[np.ndarray, " joint"]:
-        """Which joints take the yaw stiffness."""
+        """Whether each joint has the yaw stiffness."""
         return np.abs(np.asarray(self.axes))[:, 2] > np.sqrt(0.5)
 
     def at_time(self, time: Scalar) -> "Joints":
-        """With the stiffness at a time (s), where it drifts."""
+        """Return the joints with the stiffness at a time (s), if it drifts."""
         if self.stiffness_drift is None:
             return self
         usual = 1.0 if self.stiffness_factor is None else self.stiffness_factor
-        # Joints that have leaked out do not push.
+        # The stiffness of a joint that has lost its pressure is 0, not negative.
         grown = usual * larger(1 + self.stiffness_drift * time, 0)
         return dataclasses.replace(self, stiffness_factor=grown, stiffness_drift=None)
 
@@ -241,7 +250,7 @@ class Joints(eqx.Module):
 
     @property
     def dampers(self) -> tuple[AbstractJointLaw, ...]:
-        """Damping and friction, as laws."""
+        """The joint laws of damping and friction."""
         damper = Damper(self.damping)
         if self.friction is None:
             return (damper,)
@@ -249,7 +258,7 @@ class Joints(eqx.Module):
 
     @property
     def further_laws(self) -> JointLaws:
-        """What acts beside springs and dampers, and has all states: hysteresis, and `laws`."""
+        """Hysteresis and `laws`: all laws except springs and dampers; only these have states."""
         return JointLaws((*self.hysteresis.laws, *self.laws.values()))
 
 
@@ -258,11 +267,12 @@ PerBody = Float[Array, ""] | Float[Array, " body"]
 
 
 class Buoyancy(eqx.Module):
-    """Archimedes: displaced air lifts each link at its centre; helium and trim move with it.
+    """Buoyancy of the links, with helium and trim weights.
 
-    With trim weights that balance the rest (`trimmed`), each link floats, and moves with a total
-    mass equal to that of the air it displaces, whatever its structure weighs. The helium moves
-    with the link, but does not spin with it about the link's own axis.
+    The displaced air lifts each link at its centre. Helium and trim weights move with the link.
+    With trim weights that balance the remaining lift (`trimmed`), each link is neutrally buoyant,
+    and its total mass equals the mass of the displaced air, whatever its structural mass. The
+    helium does not follow the rotation of the link about its longitudinal axis.
     """
 
     helium_density: Scalar = parameter(BUOYANCY.helium_density)
@@ -273,7 +283,7 @@ class Buoyancy(eqx.Module):
     imbalance_drift: PerLink | None = parameter(BUOYANCY.imbalance_drift)
 
     def at_time(self, time: Scalar) -> "Buoyancy":
-        """With the lift at a time (s), where it drifts."""
+        """Return the buoyancy with the imbalance at a time (s), if it drifts."""
         if self.imbalance_drift is None:
             return self
         grown = self.imbalance_drift * time
@@ -282,14 +292,15 @@ class Buoyancy(eqx.Module):
 
 
 class PointMasses(eqx.Module):
-    """Small bodies fixed to links: a camera at the tip, cables, tubes, the ball of a pendulum.
+    """Small bodies fixed to links, such as a camera at the tip, cables, tubes or a pendulum ball.
 
     Arguments:
-        links: the link that carries each of them, counted from 1.
-        mass: of each, kg.
-        position: of each from its link's joint along the link, m.
-        left, up: of each from the link's axis, in the straight arm, m; None: on the axis.
-        drag_area: C_D A of each, m^2; None: no body has a drag of its own.
+        links: number of the link that carries each body, starting from 1.
+        mass: mass of each body, kg.
+        position: distance of each body from the joint of its link, along the link, m.
+        left, up: distances of each body to the left of and above the link axis in the straight arm,
+            m; None if all bodies are on the axis.
+        drag_area: C_D A of each body, m^2; None if no body has drag.
     """
 
     links: tuple[int, ...] = eqx.field(static=True)
@@ -301,7 +312,9 @@ class PointMasses(eqx.Module):
 
     def __check_init__(self) -> None:
         if not self.links or min(self.links) < 1:
-            raise InputError("a point mass has no link, or one below 1: number its link from 1")
+            raise InputError(
+                "a point mass has no link, or a link number below 1: number links from 1"
+            )
         for name in ("mass", "position", "left", "up", "drag_area"):
             value = getattr(self, name)
             if value is not None and value.shape not in ((), (len(self.links),)):
@@ -311,29 +324,32 @@ class PointMasses(eqx.Module):
                 )
 
 
-_ROUND = 1e-9  # of the inertia of a link: how far it may be from one that is round about the link
-# Of the mass of a link that is not round: what is left to the link beside its point masses.
+_ROUND = 1e-9  # tolerance for an axisymmetric inertia, relative to the inertia of the link
+# Fraction of the mass of a link that is not axisymmetric that remains in the link itself. The rest
+# is in its point masses.
 _BARE = 1e-9
 
 
 def six_points(
     mass: np.ndarray, centre: np.ndarray, inertia: np.ndarray, others: PointMasses | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, PointMasses | None]:
-    """Links with any inertia: one that is not round about its axis is its mass in six points.
+    """Represent each link that is not axisymmetric by six point masses.
 
-    They are two on each principal axis, with the mass, the centre and the inertia of the link.
+    Two point masses lie on each principal axis. Together they have the mass, the centre of mass and
+    the inertia of the link.
 
     Arguments:
-        mass: of each link, kg, shape (link,).
-        centre: of its mass, from its joint, in its frame, m, shape (link, 3).
-        inertia: about that centre, kg m^2, shape (link, 3, 3).
-        others: what the links carry besides.
+        mass: mass of each link, kg, shape (link,).
+        centre: centre of mass of each link relative to its joint, in the frame of the link, m,
+            shape (link, 3).
+        inertia: inertia of each link about its centre of mass, kg m^2, shape (link, 3, 3).
+        others: point masses that the links carry in addition.
 
     Returns:
-        Mass, axial and transverse moment of inertia that are left to the links, and all points.
+        Mass, axial and transverse moment of inertia that remain in the links, and all point masses.
 
     Raises:
-        InputError: no body has such an inertia.
+        InputError: no rigid body can have such an inertia.
     """
     rows, links = [], []
     left, moments = np.array(mass), np.diagonal(inertia, axis1=1, axis2=2).copy()
@@ -343,9 +359,8 @@ def six_points(
         if not (scale > 0 and 2 * principal[-1] <= (1 + 1e-6) * scale):
             raise InputError(
                 f"no rigid body can have the inertia of link {link + 1}, whose principal moments "
-                f"are "
-                f"{', '.join(f'{moment:.3g}' for moment in principal)} kg m^2: the largest must be "
-                "positive, and at most the sum of the others"
+                f"are {', '.join(f'{moment:.3g}' for moment in principal)} kg m^2: the largest "
+                "must be positive, and at most the sum of the other two"
             )
         moment = moments[link]
         uneven = np.abs(tensor - np.diag(moment)).max() + abs(moment[1] - moment[2])
@@ -377,12 +392,12 @@ def six_points(
 def structural_points(
     mass: np.ndarray, links: Sequence[int], masses: np.ndarray
 ) -> Bool[np.ndarray, " point"]:
-    """Which point masses are links themselves, as `six_points` leaves them.
+    """Return which point masses represent links themselves, as created by `six_points`.
 
     Arguments:
-        mass: of each link, kg, shape (link,).
-        links: of each point, from 1 on.
-        masses: of each point, kg, shape (point,).
+        mass: mass of each link, kg, shape (link,).
+        links: number of the link of each point mass, starting from 1.
+        masses: mass of each point mass, kg, shape (point,).
     """
     found = np.zeros(len(links), dtype=bool)
     for link in {link for link in links if link <= len(mass)}:
@@ -392,29 +407,32 @@ def structural_points(
 
 
 class Contact(eqx.Module):
-    """Links are inextensible tubes under pressure, and flatten where they meet an obstacle.
+    """Contact law: links are inextensible tubes under pressure, which obstacles flatten.
 
-    A tube of length L under gauge pressure p that two plates flatten by delta presses with
-    (pi / 2) p L delta: the flat part is as wide as pi delta / 2. Each wall meets half of that, so
-    that the axis of a link that is nearer to a wall than its radius by w is pushed away by
-    pi p w for each metre (`shape_factor` is that pi).
+    Two plates that flatten a tube of length L and gauge pressure p by delta exert the force
+    (pi / 2) p L delta, because the flat part has the width pi delta / 2. A single wall causes half
+    of the flattening. If the distance of the link axis from a wall is smaller than the radius by w,
+    the wall therefore exerts the force pi p w per unit of length (`shape_factor` is this pi).
 
-    Friction is elastic up to Coulomb's limit: where a link touches, its skin sticks, and slides
-    once the force reaches `friction` times the pressing one. The stretch of the skin is a state
-    of shape (3, link), m; without friction there is none.
+    Friction is elastic up to the Coulomb limit. The skin of a link in contact sticks to the
+    obstacle until the friction force reaches `friction` times the normal force, and then slides.
+    The stretch of the skin is a state of shape (3, link), m. Without friction, there is no such
+    state.
 
     Arguments:
-        obstacles: what stands around the arm, at least one.
-        shape_factor: force over pressure, length and penetration.
-        damping: s/m; a closing contact presses (1 + damping times closing speed) times as hard
-            (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440), an opening one softer, and none
-            pulls: it never creates energy.
-        friction: coefficient of friction; None for none.
-        friction_stiffness: of a link along a surface that it sticks to, N/m.
-        points: Gauss points of each of the three pieces of a contact of a link with a box.
+        obstacles: obstacles around the arm, at least one.
+        shape_factor: force divided by pressure, length and penetration.
+        damping: damping coefficient, s/m. The normal force is multiplied by (1 + damping times
+            closing speed) (Hunt and Crossley, J. Appl. Mech. 42 (1975) 440). It is therefore
+            smaller while the contact opens. It is never negative, so contact never creates energy.
+        friction: coefficient of friction; None for no friction.
+        friction_stiffness: stiffness of a link along a surface to which it sticks, N/m.
+        points: number of Gauss points on each of the three pieces of the contact between a link and
+            a box.
 
     Raises:
-        InputError: no obstacles, two of the same name, or friction without a stiffness.
+        InputError: there is no obstacle, two obstacles have the same name, or the stiffness for
+            friction is not positive.
     """
 
     obstacles: tuple[AbstractObstacle, ...]
@@ -441,22 +459,30 @@ class Contact(eqx.Module):
 
     @property
     def former_pressure(self) -> Scalar:
-        """What counts in keys of tasks for the pressure, which is of the links now."""
+        """Pressure that earlier versions stored here, kept for the keys of tasks.
+
+        The pressure is now a parameter of the links.
+        """
         return jnp.asarray(LINKS.pressure.default, jnp.result_type(float))
 
     @property
     def rows(self) -> int:
-        """States of each link."""
+        """Number of friction states of each link."""
         return 0 if self.friction is None else 3
 
     def line(self, links: Links) -> Float[Array, " link"]:
-        """Force of each metre of links over its penetration, by their pressure, N/m^2."""
+        """Return the contact force per length and penetration for the pressures of links, N/m^2."""
         return self.shape_factor * jnp.broadcast_to(links.pressure, (links.count,))
 
     def hold(
         self, strain: Float[Array, "3 link"], normal: Float[Array, " link"]
     ) -> Float[Array, "3 link"]:
-        """The stretch (m) that friction can hold where normal forces (N) press."""
+        """Return the stretch of the skin limited to what friction can hold, m.
+
+        Arguments:
+            strain: stretch of the skin of each link, m.
+            normal: normal force on each link, N.
+        """
         if self.friction is None:
             return strain
         most = self.friction * normal / self.friction_stiffness

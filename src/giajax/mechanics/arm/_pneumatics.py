@@ -1,7 +1,7 @@
-"""Muscles that drive joints: pairs of the paper's controller (fig. 6) in place of springs.
+"""Joints of an arm driven by pairs of muscles with the controller of the paper (fig. 6).
 
-The statics of a pair are those of `giajax.mechanics.joint`; here they act in the arm's equation of
-motion.
+The pairs replace the springs of the joints. `giajax.mechanics.joint` computes the statics of a
+pair. This module adds them to the equation of motion of the arm.
 """
 
 import dataclasses
@@ -36,15 +36,16 @@ from ..wrinkling import NeckFilm
 from ._joint_laws import AbstractJointLaw, JointState, PerJoint, States, Supply, slope
 from ._parts import Joints, Links
 
-# Angles at which the steepest slope is looked for.
+# Angles at which the largest stiffness is computed.
 _ANGLES = np.linspace(-LARGEST_ANGLE, LARGEST_ANGLE, 121)
 
 
 def stiffest_pair(pair: JointPair) -> Scalar:
-    """Bound of the stiffness of a pair at any pressures within its range, N m/rad.
+    """Return an upper bound of the stiffness of a pair at any permitted pressures, N m/rad.
 
-    One pressure may be high where the other is low, so that what each muscle adds counts by itself.
-    A neck adds what it has where it is tight, and its radius times what the compression changes by.
+    One pressure may be high while the other is low, so only positive contributions of the muscles
+    are added. A neck contributes its stiffness in the tight state, and its radius times the change
+    in the compression.
     """
     angles = jnp.asarray(_ANGLES)
     ahead, pressures = angles >= 0, jnp.full(2, 1.0) * pair.muscle.pressure_limit
@@ -67,8 +68,12 @@ def stiffest_pair(pair: JointPair) -> Scalar:
 
 
 class MuscleDrive(eqx.Module):
-    """Lag of the pressures (None: they follow at once), and what else acts on joints with muscles:
-    a passive stiffness to the straight pose (None for nothing), and a stop beyond 60 deg.
+    """Pressure lag and passive torques of joints with muscles.
+
+    Attributes:
+        lag: time constant of the pressures, s; None if they follow without delay.
+        passive_stiffness: stiffness about the straight pose, N m/rad; None for no stiffness.
+        stop_stiffness: stiffness of the end stop beyond 60 deg, N m/rad.
     """
 
     lag: Scalar | None = parameter(DRIVE.lag)
@@ -77,38 +82,41 @@ class MuscleDrive(eqx.Module):
 
 
 MUSCLE_BLEND = float(np.deg2rad(1.0))
-"""Half-width about 0 within which alpha and beta join unless stated, rad."""
+"""Default half-width (rad) of the range about 0 over which alpha and beta are blended."""
 
-_END = LARGEST_ANGLE * (1 + 1e-14)  # the largest angle as other conversions from degrees round it
-_UNIT = 1e5  # a pressure as a state of the motion is in this unit, Pa: of the size of an angle
+_END = LARGEST_ANGLE * (1 + 1e-14)  # includes 60 deg with a rounding error of the conversion
+_UNIT = 1e5  # Pa; unit of pressures in the state of the motion, which gives them the size of angles
 
 
 class Pneumatics(AbstractJointLaw):
-    """Pairs of muscles in some joints, in place of their springs; the same pair in each.
+    """Equal pairs of muscles that replace the springs of some joints.
 
-    Pressures are arrays of shape (2, joint), Pa: of the first muscles, towards which a positive
-    angle bends, and of the second ones; 0 in joints without muscles. Beyond 60 deg a joint has
-    the torque of its pair at 60 deg, and a stop. The controller knows of no neck.
+    Pressures are arrays of shape (2, joint), Pa. The first row contains the pressures of the first
+    muscles, towards which a positive angle bends the joints, and the second row those of the second
+    muscles. The pressures are 0 in joints without muscles. Beyond 60 deg, a joint has the torque of
+    its pair at 60 deg and an end stop. The controller does not take a neck into account.
 
     Arguments:
-        joints: numbers of the joints, increasing; 1 is the base joint.
-        joint: its parameters keep the paths that they have in the model of a joint
-            (`geometry.anchor_x`, `alpha.offset`, `torque`).
-        muscle: the law of all muscles (`muscle.effectiveness`).
-        drive: lag, passive stiffness and stop.
-        neck: the film between links, at these joints; none by default.
-        gas: gauge pressure in the neck of each of these joints, Pa; None in an arm, which has it
-            in its links (`in_links`).
+        joints: increasing numbers of the joints with muscles; 1 is the base joint.
+        joint: geometry and corrections of the joints; the parameters have the same paths as in the
+            model of a joint (`geometry.anchor_x`, `alpha.offset`, `torque`).
+        muscle: law of all muscles (`muscle.effectiveness`).
+        drive: pressure lag, passive stiffness and end stop.
+        neck: neck of film between the links at these joints; none by default.
+        gas: gauge pressure in the neck of each of these joints, Pa; None in an arm, where the
+            pressure is that of the links (`in_links`).
 
     Raises:
-        InputError: no joint or the same twice, a law that pushes, or corrections that jump.
+        InputError: no joint is given, a joint is given twice, the law pushes, or the corrections
+            jump.
     """
 
-    passive: ClassVar[bool] = False  # their air does work
+    passive: ClassVar[bool] = False  # the gas in the muscles does work
     largest_angle: ClassVar[float] = LARGEST_ANGLE
 
     joints: tuple[int, ...] = eqx.field(static=True)
-    # A recording of an arm hardly tells them: a fit finds those that it is asked for.
+    # A recording of an arm contains little information about these parameters, so a fit estimates
+    # them only on request.
     joint: Joint = held(
         inline=True, default_factory=lambda: Joint(correction=Correction(blend=MUSCLE_BLEND))
     )
@@ -120,19 +128,19 @@ class Pneumatics(AbstractJointLaw):
     def __check_init__(self) -> None:
         if not self.joints or np.any(np.diff(self.joints) <= 0) or self.joints[0] < 1:
             raise InputError(
-                f"the joints with muscles are {list(self.joints)}: give increasing numbers of "
-                f"joints, from 1 on, each once"
+                f"the joints with muscles are {list(self.joints)}: give joint numbers of "
+                "at least 1 in increasing order"
             )
         if self.muscle.pushes:
             raise InputError(
-                f'the law of an arm\'s muscles is "{self.muscle.name}", which pushes, but '
+                f'the muscle law of an arm is "{self.muscle.name}", which pushes, but '
                 "the muscles of a pair must pull: use another law"
             )
         correction = self.joint.correction
         if correction.reading == "printed":
             raise InputError(
-                "the corrections of an arm's muscles are as printed, where beta jumps at 2 and 20 "
-                'deg, which would stop a joint there: use "continuous" or "none"'
+                "the corrections of an arm's muscles are as printed, with jumps of beta at 2 and "
+                '20 deg that would stop a joint there: use "continuous" or "none"'
             )
         if correction.reading == "continuous" and not correction.blend > 0:
             raise InputError(
@@ -142,10 +150,10 @@ class Pneumatics(AbstractJointLaw):
 
     @property
     def pair(self) -> JointPair:
-        """The pair in each of these joints, with the gas of each in its neck.
+        """The pair in each of these joints, with the gas in its neck.
 
         Raises:
-            InputError: a neck without gas.
+            InputError: there is a neck without gas.
         """
         if self.neck.radius is None:
             return self._hinge
@@ -160,7 +168,7 @@ class Pneumatics(AbstractJointLaw):
         return JointPair(joint=self.joint, muscle=self.muscle)
 
     def in_links(self, links: Links) -> "Pneumatics":
-        """With the gas of links in the necks; without necks themselves."""
+        """Return the pairs with the gas of links in their necks; unchanged without necks."""
         if self.neck.radius is None:
             return self
         gas = links.neck_pressure
@@ -168,29 +176,29 @@ class Pneumatics(AbstractJointLaw):
 
     @property
     def rows(self) -> int:
-        """States of each joint: its two pressures where they lag."""
+        """Number of states of each joint: 2 if the pressures lag, otherwise 0."""
         return 0 if self.drive.lag is None else 2
 
     def settled(self, at: JointState) -> States:
-        """The states of muscles in which the supplied pressures have settled."""
+        """Return the states of muscles whose pressures equal the supplied pressures."""
         assert at.pressures is not None
         return at.pressures[: self.rows] / _UNIT
 
     def inside(self, at: JointState) -> Supply:
-        """Pressures in the muscles, Pa: those supplied, or where these lag, of the states."""
+        """Return the pressures in the muscles, Pa: from the states if they lag, else the supply."""
         pressures = at.states * _UNIT if self.rows else at.pressures
         assert pressures is not None
         return pressures
 
     def rate(self, at: JointState) -> States:
-        """How fast the states change under the supplied pressures, 1/s."""
+        """Return the time derivative of the states under the supplied pressures, 1/s."""
         if self.drive.lag is None:
             return at.states
         assert at.pressures is not None
         return (at.pressures / _UNIT - at.states) / self.drive.lag
 
     def asked(self, angle: Float[Array, "*shape"]) -> PairCommand:
-        """What the controller asks of both muscles of a joint at angles (rad)."""
+        """Return the command of the controller to both muscles of a joint at angles (rad)."""
         angle = self._limited(angle)
         load = jnp.zeros_like(angle)
         if self.drive.passive_stiffness is not None:
@@ -199,12 +207,12 @@ class Pneumatics(AbstractJointLaw):
         return commanded(self._hinge, angle, load, torque)
 
     def commanded(self, command: PerJoint) -> Supply:
-        """Pressures with which the controller holds commanded angles (rad), Pa."""
+        """Return the pressures with which the controller holds commanded angles (rad), Pa."""
         pressures = self.asked(self._of(command)).pressures
         return self._in(command, jnp.moveaxis(pressures, -1, 0))
 
     def torque(self, at: JointState) -> PerJoint:
-        """Torque on each joint at the pressures inside, N m; 0 in a joint without muscles."""
+        """Return the torque of the muscles on each joint, N m; 0 in a joint without muscles."""
         angle, pressures = self._of(at.angles), self._of(self.inside(at))
         bent = self._limited(angle)
         torque = net_torque(self.pair, pressures, jnp.zeros(()), bent, bent >= 0)
@@ -214,14 +222,15 @@ class Pneumatics(AbstractJointLaw):
         return self._in(at.angles, torque)
 
     def slopes(self, at: JointState) -> tuple[PerJoint, PerJoint]:
-        """Stiffness at the pressures inside, N m/rad; no damping."""
+        """Return the stiffness at the pressures in the muscles, N m/rad, and zero damping."""
         stiffness = -slope(lambda x: self.torque(at._replace(angles=x)), at.angles)
         return stiffness, jnp.zeros_like(stiffness)
 
     def energy(self, at: JointState) -> PerJoint:
-        """Energy that joints store whatever the pressures are, J; 0 in the straight arm.
+        """Return the energy stored in joints at any pressures, J; 0 in the straight arm.
 
-        What a neck stores depends on the muscles that press it: it counts with their power.
+        The energy in a neck is not included, because it depends on the compression by the muscles.
+        It is included in the power of the muscles.
         """
         angle, correction = self._of(at.angles), self.joint.correction
         bent = self._limited(angle)
@@ -234,9 +243,10 @@ class Pneumatics(AbstractJointLaw):
         return self._in(at.angles, energy)
 
     def stiffest(self, at: JointState) -> PerJoint:
-        """Bound of the stiffness that any pressures give joints, N m/rad.
+        """Return an upper bound of the stiffness of joints at any pressures, N m/rad.
 
-        It is that of the range. A motion that reaches the stop is left to the control of errors.
+        The bound applies within the range of the angles. At the end stop, the error control of the
+        integrator limits the steps.
         """
         stiffest = stiffest_pair(self.pair)
         if self.drive.passive_stiffness is not None:
@@ -244,27 +254,30 @@ class Pneumatics(AbstractJointLaw):
         return self._in(at.angles, jnp.full(len(self.joints), stiffest))
 
     def _limited(self, angle: Array) -> Array:
-        # Not `clip`, whose slope is a half at 60 deg itself, a usual command.
+        # `clip` is not used, because its derivative is 1/2 at 60 deg, which is a common command.
         return jnp.where(jnp.abs(angle) <= _END, angle, jnp.sign(angle) * LARGEST_ANGLE)
 
     @property
     def _stride(self) -> int | None:
-        """The distance between these joints, where it is the same everywhere."""
+        """Difference of the numbers of neighbouring joints, or None if it is not constant."""
         steps = set(np.diff(self.joints).tolist())
         return None if len(steps) > 1 else next(iter(steps), 1)
 
     def _of(self, each: Array) -> Array:
-        """What of each joint belongs to these, along the last axis."""
+        """Select the values of the joints with muscles along the last axis."""
         if self._stride is not None:
             return each[..., self.joints[0] - 1 : self.joints[-1] : self._stride]
         return each[..., np.asarray(self.joints) - 1]
 
     def _in(self, like: Array, values: Array) -> Array:
-        """Values of these joints among all, as many as `like` has, and 0 elsewhere."""
+        """Insert values of the joints with muscles into zeros for all joints.
+
+        The last axis of `like` has the number of joints.
+        """
         count = like.shape[-1]
         zero = jnp.zeros((), values.dtype)
         if self._stride is not None:
-            # A slice and a padding cost nothing; gathering and scattering do.
+            # Slicing and padding are much cheaper than gathering and scattering.
             within = (self.joints[0] - 1, count - self.joints[-1], self._stride - 1)
             around = [(0, 0, 0)] * (values.ndim - 1)
             return jax.lax.pad(values, zero, [*around, within])
@@ -273,22 +286,20 @@ class Pneumatics(AbstractJointLaw):
 
 
 def muscles_in(muscles: str | Sequence[int], pair: JointPair | None, joints: Joints) -> Pneumatics:
-    """Muscles in the joints of a name or of these numbers."""
+    """Create the muscles of joints that are given by a name or by their numbers."""
     named = {"pitch": ~joints.is_yaw, "all": np.ones(len(joints.axes), bool)}
     if isinstance(muscles, str) and muscles in named:
         numbers = np.flatnonzero(named[muscles]) + 1
     else:
         numbers = np.asarray(muscles)
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
-        raise InputError(
-            f'muscles is {muscles!r}: use "pitch", "all" or a list of numbers of joints'
-        )
+        raise InputError(f'muscles is {muscles!r}: use "pitch", "all" or a list of joint numbers')
     own: dict[str, Any] = {} if pair is None else {"joint": pair.joint, "muscle": pair.muscle}
     return Pneumatics(tuple(numbers.tolist()), **own)
 
 
 def idle_springs(joints: Joints, pneumatics: Pneumatics | None) -> dict[str, Any]:
-    """Stiffnesses that no spring has, as 0, so that no fit looks for them."""
+    """Return 0 for each stiffness that no spring uses, so that a fit does not estimate it."""
     driven = () if pneumatics is None else pneumatics.joints
     sprung = np.setdiff1d(np.arange(len(joints.axes)), np.asarray(driven, dtype=int) - 1)
     yaws = joints.is_yaw[sprung]

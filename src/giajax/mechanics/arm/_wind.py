@@ -1,4 +1,4 @@
-"""Wind as a function of place and time: a profile over height, a gust that travels."""
+"""Wind as a function of position and time, for example a height profile or a travelling gust."""
 
 import abc
 from collections.abc import Callable
@@ -15,10 +15,11 @@ from ...schema.parameters import is_concrete
 
 
 class AbstractWind(eqx.Module):
-    """The velocity of the air as a function of place and time.
+    """The velocity of the air as a function of position and time.
 
-    Its parameters are declared as all others (`giajax.schema.parameters.parameter`) and have paths
-    as `air.wind_field.NAME`. `check_wind` tests one.
+    The parameters of a wind field are declared like all others
+    (`giajax.schema.parameters.parameter`) and have paths of the form `air.wind_field.NAME`.
+    `check_wind` tests a wind field.
     """
 
     registered_as: ClassVar[str] = "wind"
@@ -27,11 +28,16 @@ class AbstractWind(eqx.Module):
     def __call__(
         self, position: Float[Array, "*place 3"], time: Scalar
     ) -> Float[Array, "*place 3"]:
-        """Velocity of the air at places (m) in the base frame and a time (s), m/s."""
+        """Return the velocity of the air at positions in the base frame and at one time, m/s.
+
+        Arguments:
+            position: positions in the base frame, m.
+            time: time, s.
+        """
 
 
 class WindFunction(AbstractWind):
-    """A plain function of place and time as a wind, without parameters."""
+    """A wind field without parameters, given by a plain function of position and time."""
 
     function: Callable[..., Any] = eqx.field(static=True)
 
@@ -43,7 +49,11 @@ class WindFunction(AbstractWind):
 
 
 def as_wind(wind: Any) -> AbstractWind:
-    """A wind of a class or of a plain function; `InputError` for anything else."""
+    """Return the wind field of an instance of a wind class or of a plain function.
+
+    Raises:
+        InputError: the argument is neither of these.
+    """
     if isinstance(wind, AbstractWind):
         return wind
     if isinstance(wind, FunctionType):
@@ -54,25 +64,26 @@ def as_wind(wind: Any) -> AbstractWind:
     )
 
 
-_TIMES = (0.0, 0.7, 60.0)  # at which a wind is tried, s
-_ABOUT = ((0.3, 0.0, 0.0), (2.0, 0.5, 1.0), (5.0, -1.0, 3.0))  # and where by default, m
+_TIMES = (0.0, 0.7, 60.0)  # s; times at which a wind field is tested
+_ABOUT = ((0.3, 0.0, 0.0), (2.0, 0.5, 1.0), (5.0, -1.0, 3.0))  # m; default positions
 
 
 def check_wind(
     wind: AbstractWind | Callable[..., Any],
     position: Float[Array, "point 3"] | None = None,
 ) -> None:
-    """Try a wind as a function of place and time, where an arm will be.
+    """Test a wind field at the positions of an arm.
 
-    While a program is traced nothing is checked.
+    A traced wind field is not tested.
 
     Arguments:
         wind: a function of position and time, or an instance of a class of `AbstractWind`.
-        position: where, in the base frame, m; by default some places up to 6 m from the base.
+        position: positions in the base frame, m; by default three points up to 6 m from the base.
 
     Raises:
-        InputError: naming the wind and what is wrong: an exception, a shape, a place whose wind
-            depends on other places, or a value or a derivative that is not finite.
+        InputError: the wind field raises an exception, returns a wrong shape, depends on other
+            positions in the same array, or has a value or derivative that is not finite. The
+            message names the wind field.
     """
     given = as_wind(wind)
     if not is_concrete((given, position)):
@@ -90,7 +101,7 @@ def _try(name: str, wind: AbstractWind, position: Array) -> None:
     )
     for moment in _TIMES:
         given = (wind, position, jnp.asarray(moment, position.dtype))
-        # As motions do, where numbers are not known yet.
+        # A simulation also evaluates the wind field with traced values.
         eqx.filter_eval_shape(lambda wind, *at: wind(*at), *given)
         velocity, slope = eqx.filter_jvp(lambda wind, *at: wind(*at), given, ones)
         if getattr(velocity, "shape", None) != position.shape:
@@ -102,9 +113,10 @@ def _try(name: str, wind: AbstractWind, position: Array) -> None:
             if values is not None and not bool(jnp.all(jnp.isfinite(values))):
                 raise InputError(
                     f"{name} has a {what} that is not finite at {moment:g} s at the position of "
-                    f"the arm: correct the field, or the height of its ground"
+                    "the arm: correct the field, or the height of its ground"
                 )
-        # Both orders at once; and alone, where the mean or the largest of all is that of one.
+        # Evaluate the positions in both orders at once, and single positions. A field that uses the
+        # mean or the maximum over all positions then returns a different wind.
         for places, alike in (
             (jnp.stack([position, position[::-1]]), jnp.stack([velocity, velocity[::-1]])),
             (position[:1], velocity[:1]),
@@ -117,6 +129,7 @@ def _try(name: str, wind: AbstractWind, position: Array) -> None:
             ):
                 continue
             raise InputError(
-                f"{name} does not give each place of shape (2, {len(position)}, 3) its own wind: "
-                "use position[..., 0] and so on, and depend on no other place"
+                f"{name} does not return a separate wind for each position in an array of shape "
+                f"(2, {len(position)}, 3): index positions as position[..., 0] and so on, and "
+                "compute each wind from its own position alone"
             )

@@ -1,4 +1,4 @@
-"""Hysteresis operators and their compensation. Knows no arm."""
+"""Hysteresis operators and their compensation, independent of any arm."""
 
 from ._bouc_wen import (
     MOST_STEPS as MOST_STEPS,

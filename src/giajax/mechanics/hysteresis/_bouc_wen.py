@@ -1,4 +1,4 @@
-"""Bouc-Wen hysteresis as a differential equation, and as an operator.
+"""Bouc-Wen hysteresis: differential equation, operator and oscillator.
 
 References: Y.-K. Wen, J. Eng. Mech. Div. 102 (1976) 249-263; J. P. Noel, M. Schoukens,
 "Hysteretic benchmark with a dynamic nonlinearity", Workshop on Nonlinear System Identification
@@ -33,8 +33,11 @@ def bouc_wen_rate(
     delta: Float[Array, "*shape"],
     nu: Float[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu), v the rate of the input."""
-    # |z|^(nu-1) as a number that has a derivative also at z = 0, where the motion begins.
+    """Return dz/dt = alpha v - beta (gamma |v| |z|^(nu-1) z + delta v |z|^nu).
+
+    Here v is the rate of the input.
+    """
+    # This form of |z|^(nu-1) is differentiable at z = 0, where a motion starts.
     zero = z == 0
     power = jnp.where(zero, 1, jnp.abs(z)) ** (nu - 1)
     power = jnp.where(zero & (nu != 1), 0, power)
@@ -47,15 +50,17 @@ def bouc_wen_rate(
 def bouc_wen_after(
     ways: Float[Array, "leg *shape"], z: Float[Array, "*shape"], nu: Scalar, delta: Scalar
 ) -> Float[Array, "*shape"]:
-    """z after motions in one direction: `bouc_wen_rate` over |v|, which depends on no rate.
+    """Return z after successive motions, each of which has one direction.
 
-    With nu = 1 and delta = 0 (Dahl) it falls off exponentially; otherwise it is integrated, right
-    to 5e-5 but where a large nu makes the knee sharp, and takes thirty times as long.
+    This is the integral of `bouc_wen_rate` over the displacement, which does not depend on the
+    rate. With nu = 1 and delta = 0 (Dahl model), the solution is an exponential function.
+    Otherwise, the equation is integrated numerically with an error of at most 5e-5, except at the
+    sharp knee of a large nu. This takes thirty times as long.
 
     Arguments:
-        ways: one after the other, over the yield angle, with the sign of their direction.
-        z: before them.
-        nu, delta: as of `BoucWen`, where alpha and beta are 1 and gamma is 1 - delta.
+        ways: successive displacements divided by the yield angle, with the sign of the direction.
+        z: value before the motions.
+        nu, delta: parameters as in `BoucWen`, where alpha and beta are 1 and gamma is 1 - delta.
     """
 
     def exponential() -> Array:
@@ -68,13 +73,13 @@ def bouc_wen_after(
     def integrated() -> Array:
         return jax.lax.scan(lambda z, way: (_leg(way, z, nu, delta), None), z, ways)[0]
 
-    # All of them in one: a branch costs more than the exponentials.
+    # One branch serves all motions, because a branch costs more than the exponentials.
     return jax.lax.cond(_is_dahl(nu, delta), exponential, integrated)
 
 
 @bouc_wen_after.def_jvp
 def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    """What each leg does to derivatives, worked out once however many of them there are."""
+    """Compute the partial derivatives of each motion once, for any number of tangents."""
     ways, z, nu, delta = primals
     shaped = [index for index in (2, 3) if tangents[index] is not None]
     wanted = [0, 1, *shaped]
@@ -121,15 +126,15 @@ def _bouc_wen_after_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return bouc_wen_after(*primals), moved
 
 
-# What z of Dahl's model is by its shape, after a way x in the direction in which z rises from y0 to
-# y = 1 - (1 - y0) e^-x. A derivative d of it falls off as z does, and is made on the way: by delta
-# d' = -d + min(2 y, 0), by nu d' = -d - y ln|y|, whose integrals over e^t are elementary and, with
-# the dilogarithm Li2, closed.
+# Derivatives of z with respect to delta and nu at the Dahl model. In a displacement x in the
+# direction in which z increases, z increases from y0 to y = 1 - (1 - y0) e^-x. A derivative d obeys
+# d' = -d + min(2 y, 0) for delta and d' = -d - y ln|y| for nu. The first solution is elementary,
+# and the second is in closed form with the dilogarithm Li2.
 
 
 def _dahl_by_delta(way: Array, before: Array, after: Array, kept: Array) -> Array:
     del after
-    # Up to where z is 0.
+    # Displacement up to the point at which z is 0.
     falling = limited(jnp.log1p(-jnp.where(before < 0, before, 0)), 0, way)
     return 2 * kept * (jnp.expm1(falling) - (1 - before) * falling)
 
@@ -144,9 +149,9 @@ def _y_log_y(y: Array) -> Array:
 
 
 def _dilogarithm(y: Array) -> Array:
-    """The real part of Li2(1 - y), for y up to 1."""
+    """Return the real part of Li2(1 - y) for y <= 1."""
     negative = y < 0
-    # Beyond its branch point by that of 1 / (1 - y).
+    # Beyond the branch point, the inversion formula gives it from the value at 1 / (1 - y).
     inner = spence(jnp.where(negative, -y / (1 - y), y))
     return jnp.where(negative, jnp.pi**2 / 3 - jnp.log(1 - y) ** 2 / 2 - inner, inner)
 
@@ -157,7 +162,11 @@ def _sign(way: Array) -> Array:
 
 @eqx.filter_custom_jvp
 def _is_dahl(nu: Scalar, delta: Scalar) -> Bool[Array, ""]:
-    """Whether nu is 1 and delta 0; not where one is differentiated by once more."""
+    """Return whether nu is 1 and delta is 0.
+
+    The result is False where nu or delta is differentiated a second time, because the closed form
+    holds only at the Dahl model.
+    """
     return (nu == 1) & (delta == 0)
 
 
@@ -168,14 +177,20 @@ def _is_dahl_jvp(primals: Any, tangents: Any) -> tuple[Array, None]:
 
 
 def _leg(way: Array, z: Array, nu: Scalar, delta: Scalar) -> Array:
-    """z after one motion, integrated."""
+    """Return z after one motion, by numerical integration."""
     most, one = _FULL + _DECAY / nu, jnp.ones_like(nu)
     width = limited(way, -most, most) / _STEPS
     return _by_steps(lambda z: bouc_wen_rate(width, z, one, one, 1 - delta, delta, nu), z, _STEPS)
 
 
 def _by_steps(slope: Callable[[Array], Array], z: Array, count: int) -> Array:
-    """z after so many classical Runge-Kutta steps, of a slope times the width of one."""
+    """Return z after `count` classical Runge-Kutta steps.
+
+    Arguments:
+        slope: derivative of z, multiplied by the width of a step, as a function of z.
+        z: initial value.
+        count: number of steps.
+    """
 
     def one(_: int, z: Array) -> Array:
         first = slope(z)
@@ -184,36 +199,40 @@ def _by_steps(slope: Callable[[Array], Array], z: Array, count: int) -> Array:
         fourth = slope(z + third)
         return z + (first + 2 * second + 2 * third + fourth) / 6
 
-    # The number of turns is known, which keeps both modes of differentiation.
+    # The number of iterations is static, so both modes of differentiation are available.
     return jax.lax.fori_loop(0, count, one, z)
 
 
-_FULL, _DECAY, _STEPS = 2.0, 24.0, 32  # yield angles up to the knee, and beyond it; steps of both
+# The integration is limited to `_FULL` + `_DECAY` / nu yield angles, beyond which z has converged,
+# and uses `_STEPS` steps.
+_FULL, _DECAY, _STEPS = 2.0, 24.0, 32
 
-_LONG = 200  # substeps of a move that may be as long as the whole range
+_LONG = 200  # substeps of a change of the input by up to the whole range
 
-# Substeps within the width of the knee, in an inverse: RK4 is then right to about 1e-5.
+# Substeps within the width of the knee in an inverse. The error of RK4 is then about 1e-5.
 _PER_KNEE = 4.0
 _MOST = 4000
 
-_COARSE = 2.0  # in widths of the knee: a longer substep is wrong, and one beyond 2.8 unstable
+# Largest width of a substep, in units of the width of the knee. A larger substep is inaccurate, and
+# one above 2.8 is unstable.
+_COARSE = 2.0
 
 
 class BoucWen(AbstractOperator):
-    """y = elastic u + z, where z follows the Bouc-Wen equation along the input.
+    """The operator y = elastic u + z, where z obeys the Bouc-Wen equation with the input u.
 
-    Only the products beta gamma and beta delta are determined by a history: the three of them
-    are kept because they are the literature's.
+    A history determines only the products beta gamma and beta delta. All three parameters are kept
+    because the literature uses them.
 
     Arguments:
-        elastic: output per input without memory.
-        alpha: slope of z where it is 0.
-        beta, gamma, delta: shape of the loop; beta in 1/input where nu is 1.
+        elastic: output per input of the part without memory.
+        alpha: slope of z at z = 0.
+        beta, gamma, delta: shape of the loop; if nu is 1, the unit of beta is 1/input.
         nu: sharpness of the knee.
-        substeps: Runge-Kutta steps between two samples.
+        substeps: number of Runge-Kutta steps between two samples.
 
     Raises:
-        InputError: fewer than 1 substep.
+        InputError: there are fewer than 1 substeps.
     """
 
     elastic: Scalar = parameter(BOUC_WEN.elastic)
@@ -229,17 +248,17 @@ class BoucWen(AbstractOperator):
             raise InputError(f"the operator has {self.substeps} substeps: give at least 1")
 
     def refined(self, factor: float) -> Self:
-        """With more substeps: the method is of fourth order."""
+        """Return the operator with more substeps, as for a method of fourth order."""
         return dataclasses.replace(self, substeps=int(np.ceil(self.substeps * factor**-0.25)))
 
     def stiffness(self, z: Scalar) -> Scalar:
-        """How fast z is forgotten, 1/input: beta (gamma + |delta|) nu |z|^(nu-1)."""
+        """Return the decay rate of z, 1/input: beta (|gamma| + |delta|) nu |z|^(nu-1)."""
         size = jnp.maximum(jnp.abs(z), jnp.finfo(z.dtype).tiny)
         factor = self.beta * (jnp.abs(self.gamma) + jnp.abs(self.delta)) * self.nu
         return factor * size ** (self.nu - 1)
 
     def for_moves_of(self, width: float) -> Self:
-        """With as many substeps as a move of that width needs."""
+        """Return the operator with the number of substeps that a change by `width` requires."""
         fine = dataclasses.replace(self, substeps=_LONG)
         end = jnp.asarray(width, dtype=self.elastic.dtype)
         _, z = fine.travelled(fine.reset(), end)
@@ -252,28 +271,32 @@ class BoucWen(AbstractOperator):
         return dataclasses.replace(self, substeps=max(self.substeps, int(np.ceil(needed))))
 
     def travelled(self, state: tuple[Scalar, Scalar], value: Scalar) -> tuple[Scalar, Scalar]:
-        """Memory after a move that may be much longer than those between two samples."""
+        """Return the memory after a change of the input that may be much larger than usual."""
         return dataclasses.replace(self, substeps=max(self.substeps, _LONG)).step(state, value)[0]
 
     def too_coarse(
         self, inputs: Float[Array, " sample"], outputs: Float[Array, " sample"]
     ) -> Bool[Array, ""]:
-        """Whether a move of a history, with what `history` gave, is too long for the substeps."""
+        """Return whether the substeps are too large for the largest change in a history.
+
+        Arguments:
+            inputs: input at each sample.
+            outputs: outputs of `history` for these inputs.
+        """
         z = jnp.max(jnp.abs(outputs - self.elastic * inputs))
         longest = jnp.max(jnp.abs(jnp.diff(inputs)), initial=0)
         return longest * self.stiffness(z) > _COARSE * self.substeps
 
     def reset(self) -> tuple[Scalar, Scalar]:
-        """Input and z at 0."""
+        """Return the memory of a virgin operator: input and z at 0."""
         return jnp.zeros_like(self.elastic), jnp.zeros_like(self.elastic)
 
     def step(
         self, state: tuple[Scalar, Scalar], value: Scalar
     ) -> tuple[tuple[Scalar, Scalar], Scalar]:
-        """Input, z and output after the input has moved.
+        """Return the memory (input and z) and the output after the input has changed to a value.
 
-        The equation does not depend on how fast the input moves: it is integrated over the
-        input itself.
+        The equation does not depend on the rate of the input, so it is integrated over the input.
         """
         before, z = state
         width = (value - before) / self.substeps
@@ -287,27 +310,30 @@ class BoucWen(AbstractOperator):
     def history(
         self, inputs: Float[Array, " sample"], state: tuple[Scalar, Scalar] | None = None
     ) -> tuple[Float[Array, " sample"], tuple[Scalar, Scalar]]:
-        """Outputs at all samples."""
+        """Return the outputs at all samples and the final memory."""
         return history_by_steps(self, inputs, state)
 
 
-# Forces are kept for so many steps a sample, so that a finer solution needs no others.
+# Forces are stored for this number of steps per sample, so that a finer solution can use them.
 MOST_STEPS = 16
 
 State = Float[Array, "3"]
 
 
 class BoucWenOscillator(eqx.Module):
-    """mass y'' + damping y' + stiffness y + z = force, with z of the Bouc-Wen equation.
+    """Oscillator mass y'' + damping y' + stiffness y + z = force with Bouc-Wen hysteresis z.
 
-    A mass on a spring and a damper starts at rest. The defaults are those of the benchmark.
+    The mass starts at rest. The default values are those of the benchmark.
 
     Arguments:
-        alpha, beta, gamma, delta, nu: of z, as in `BoucWen`.
-        steps: Runge-Kutta steps from one sample to the next, a divisor of `MOST_STEPS`.
+        mass: mass, kg.
+        damping: damping, N s/m.
+        stiffness: stiffness, N/m.
+        alpha, beta, gamma, delta, nu: parameters of z, as in `BoucWen`.
+        steps: number of Runge-Kutta steps per sample, a divisor of `MOST_STEPS`.
 
     Raises:
-        InputError: another number of steps.
+        InputError: the number of steps is not a divisor of `MOST_STEPS`.
     """
 
     mass: Scalar = parameter(BOUC_WEN_OSCILLATOR.mass)
@@ -327,7 +353,12 @@ class BoucWenOscillator(eqx.Module):
             )
 
     def rate(self, state: State, force: Scalar) -> State:
-        """Time derivative of displacement (m), velocity (m/s) and hysteretic force (N)."""
+        """Return the time derivative of displacement (m), velocity (m/s) and z (N).
+
+        Arguments:
+            state: displacement, velocity and hysteretic force z.
+            force: driving force, N.
+        """
         displacement, velocity, z = state
         pull = self.damping * velocity + self.stiffness * displacement + z
         return jnp.stack(
@@ -339,23 +370,24 @@ class BoucWenOscillator(eqx.Module):
         )
 
     def refined(self, factor: float) -> Self:
-        """With more steps, up to as many as there are forces for."""
+        """Return the oscillator with more steps, up to `MOST_STEPS`."""
         finer = 2 ** math.ceil(math.log2(max(self.steps * factor**-0.5, 1)))
         return dataclasses.replace(self, steps=min(finer, MOST_STEPS))
 
     def motion(
         self, forces: Float[Array, "sample half"], intervals: Float[Array, " sample"]
     ) -> Float[Array, "sample 3"]:
-        """Displacement (m), velocity (m/s) and hysteretic force (N) at every sample, from rest.
+        """Return displacement (m), velocity (m/s) and hysteretic force (N) at every sample.
 
-        By classical Runge-Kutta steps. The force is smooth within a step, and its values at the
-        ends and in the middle are what the method uses: no interpolation enters here.
+        The motion starts from rest and is computed by classical Runge-Kutta steps. The force must
+        be smooth within a step. The method uses it only at the ends and in the middle of a step, so
+        no interpolation is needed.
 
         Arguments:
-            forces: N, at equal distances after the sample before, the last one at the sample
-                itself; twice `MOST_STEPS` of them. The first row is not driven through: its last
-                force is that at the first sample.
-            intervals: s, from the sample before; the first one is not used.
+            forces: forces at twice `MOST_STEPS` equidistant times after the previous sample, the
+                last one at the sample itself, N. Of the first row, only the last force is used,
+                which is the force at the first sample.
+            intervals: time since the previous sample, s; the first value is not used.
         """
         samples, count = forces.shape
         stride = count // (2 * self.steps)

@@ -1,4 +1,4 @@
-"""The paper's compensation, eq. (12): between the inverse branches of a measured loop."""
+"""Compensation of the paper, eq. (12), from the two inverse branches of a measured loop."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,35 +11,41 @@ from ...schema import BRANCH_COMPENSATOR
 from ...schema.parameters import is_concrete, parameter
 from ._operator import AbstractExactOperator, clip, play
 
-_LEAST = 4  # with fewer rows than this a branch is no curve
+_LEAST = 4  # smallest number of samples of a branch
 
 
 class MonotoneCurve(eqx.Module):
-    """Piecewise linear curve, x increasing and y never falling; constant beyond its ends."""
+    """Piecewise linear curve that never decreases and is constant beyond its ends.
+
+    Attributes:
+        x: increasing positions of the points.
+        y: values at the points, which never decrease.
+    """
 
     x: Float[Array, " point"]
     y: Float[Array, " point"]
 
     def __call__(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """The curve at x."""
+        """Return the value of the curve at x."""
         return jnp.interp(x, self.x, self.y)
 
 
 class BranchCompensator(AbstractExactOperator):
-    """E = xi F + (1 - xi) T (eq. 12): the command to send for a desired output.
+    """Compensator E = xi F + (1 - xi) T (eq. 12): the command for a desired output.
 
-    F and T are the inverse rising and falling branches of a measured loop, from the desired
-    output to the command. After a reversal xi goes linearly from 0 (falling) to 1 (rising), or
-    back, within the travel, and from wherever it was: it is continuous. So it is a stop of half
-    the travel, scaled to 0 .. 1.
+    F and T are the inverse rising and falling branches of a measured loop, which map the desired
+    output to the command. After a reversal, xi changes linearly and continuously from its current
+    value towards 1 (rising) or 0 (falling). A change from 0 to 1 takes the distance `travel`. xi is
+    therefore a stop operator with a threshold of half the travel, scaled to the range from 0 to 1.
 
     Arguments:
-        rising: F.
-        falling: T.
-        travel: how far the desired output goes between the two, in its unit; positive.
+        rising: inverse rising branch F.
+        falling: inverse falling branch T.
+        travel: change of the desired output over which the command passes from one branch to the
+            other, in the unit of the desired output; positive.
 
     Raises:
-        InputError: a travel that is not positive.
+        InputError: the travel is not positive.
     """
 
     rising: MonotoneCurve
@@ -55,18 +61,18 @@ class BranchCompensator(AbstractExactOperator):
 
     @property
     def reachable(self) -> tuple[float, float]:
-        """Outputs that both branches reach."""
+        """Lowest and highest output that both branches reach."""
         return (
             float(jnp.maximum(self.rising.x[0], self.falling.x[0])),
             float(jnp.minimum(self.rising.x[-1], self.falling.x[-1])),
         )
 
     def reset(self) -> Scalar:
-        """In the middle between the branches."""
+        """Return the memory for a command midway between the branches at a desired output of 0."""
         return jnp.zeros_like(self.travel)
 
     def step(self, state: Scalar, value: Scalar) -> tuple[Scalar, Scalar]:
-        """Memory and command after the desired output has moved."""
+        """Return memory and command after the desired output has changed to a value."""
         half = self.travel / 2
         state = clip(state, value - half, value + half)
         return state, self._command(value, state)
@@ -74,13 +80,13 @@ class BranchCompensator(AbstractExactOperator):
     def history(
         self, inputs: Float[Array, " sample"], state: Scalar | None = None
     ) -> tuple[Float[Array, " sample"], Scalar]:
-        """Commands for a history of desired outputs."""
+        """Return the commands for a history of desired outputs, and the final memory."""
         memory = None if state is None else state[None]
         plays = play(inputs, self.travel[None] / 2, memory)[:, 0]
         return self._command(inputs, plays), plays[-1]
 
     def transition(self, inputs: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """xi along a history of desired outputs, between 0 and 1."""
+        """Return xi for a history of desired outputs, between 0 and 1."""
         return self._xi(inputs, play(inputs, self.travel[None] / 2)[:, 0])
 
     def _xi(self, value: Array, memory: Array) -> Array:
@@ -94,18 +100,18 @@ class BranchCompensator(AbstractExactOperator):
 def branches_from_loop(
     inputs: npt.ArrayLike, outputs: npt.ArrayLike, travel: float
 ) -> BranchCompensator:
-    """The compensator, from a desired output to the command, that a measured loop gives.
+    """Create the compensator of a measured loop, which maps a desired output to a command.
 
-    Each branch is made monotone by isotonic regression (pool adjacent violators), so that noise
-    and a fold of the measurement leave a curve that has an inverse.
+    Isotonic regression (pool adjacent violators) makes each branch monotone, so the curve has an
+    inverse even if noise or a fold makes the measurement non-monotone.
 
     Arguments:
-        inputs: the command at each sample, shape (sample,).
-        outputs: the measured output, NaN where there is none, shape (sample,).
+        inputs: command at each sample, shape (sample,).
+        outputs: measured output, NaN where it is missing, shape (sample,).
         travel: see `BranchCompensator`.
 
     Raises:
-        InputError: a history without both branches, too short for them, or with falling ones.
+        InputError: a branch is missing or too short, or its output decreases with the input.
 
     Example:
         >>> from giajax.mechanics.hysteresis import branches_from_loop
@@ -123,13 +129,12 @@ def branches_from_loop(
         if np.count_nonzero(on) < _LEAST or np.ptp(u[on]) == 0 or np.ptp(y[on]) == 0:
             raise InputError(
                 f"the {name} branch of the loop has {np.count_nonzero(on)} measured samples, too "
-                "few for a curve: give a loop that goes up and down over the whole range"
+                "few for a curve: give a loop that rises and falls over the whole range"
             )
         if np.cov(u[on], y[on])[0, 1] < 0:
             raise InputError(
                 f"on the {name} branch the output decreases where the input increases: change the "
-                f"sign "
-                "of one column"
+                "sign of one column"
             )
         curves.append(_inverse_curve(u[on], y[on]))
     rising, falling = curves
@@ -137,7 +142,7 @@ def branches_from_loop(
 
 
 def _directions(u: np.ndarray) -> np.ndarray:
-    """1 where the input has last risen, -1 where it has last fallen."""
+    """Return the sign of the last change of the input at each sample."""
     steps = np.sign(np.diff(u, prepend=u[:1]))
     moved = np.flatnonzero(steps)
     if moved.size == 0:
@@ -149,7 +154,7 @@ def _directions(u: np.ndarray) -> np.ndarray:
 def _inverse_curve(u: np.ndarray, y: np.ndarray) -> MonotoneCurve:
     order = np.argsort(u, kind="stable")
     levels = isotonic(y[order])
-    # Where the output stays the same over several inputs, the middle of them is the answer.
+    # If several inputs have the same output, the inverse is their mean.
     x, first, counts = np.unique(levels, return_index=True, return_counts=True)
     sums = np.add.reduceat(u[order], first)
     dtype = jnp.result_type(float)
@@ -157,7 +162,10 @@ def _inverse_curve(u: np.ndarray, y: np.ndarray) -> MonotoneCurve:
 
 
 def isotonic(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The nearest sequence that never decreases, in least squares (pool adjacent violators)."""
+    """Return the non-decreasing sequence nearest to values in least squares.
+
+    The method is the pool-adjacent-violators algorithm.
+    """
     pools: list[tuple[float, int]] = []
     for value in values:
         mean, count = float(value), 1

@@ -1,4 +1,4 @@
-"""What all hysteresis operators share: memory, one step, a whole history, and forgetting."""
+"""Base classes of hysteresis operators, play and stop operators, and an inverse by bisection."""
 
 import abc
 from typing import Any, Literal, Self
@@ -16,42 +16,57 @@ PerThreshold = Float[Array, " threshold"]
 
 
 class AbstractOperator(eqx.Module):
-    """An operator whose output depends on the input now and on what it remembers.
+    """An operator whose output depends on the current input and on a memory of earlier inputs.
 
-    The operators are rate-independent: between two samples the input goes monotonically from one
-    to the other, and nothing depends on how fast.
+    The operators are rate-independent: the input changes monotonically between two samples, and its
+    rate has no effect.
     """
 
     @abc.abstractmethod
     def reset(self) -> Any:
-        """The memory of a virgin operator, whose input has always been 0."""
+        """Return the memory of a virgin operator, whose input has always been 0."""
 
     @abc.abstractmethod
     def step(self, state: Any, value: Scalar) -> tuple[Any, Array]:
-        """Memory and output after the input has moved to a value, from an earlier memory."""
+        """Return memory and output after the input has changed to a value.
+
+        Arguments:
+            state: memory before the change.
+            value: new input.
+        """
 
     @abc.abstractmethod
     def refined(self, factor: float) -> Self:
-        """The same operator with its numerical error multiplied by about a factor."""
+        """Return the operator with its numerical error multiplied by approximately `factor`."""
 
     @abc.abstractmethod
     def for_moves_of(self, width: float) -> Self:
-        """The same operator, accurate also for single moves of a width, in the unit of the input.
+        """Return an operator that is also accurate for single changes of the input by a width.
 
-        The parameters must be known (no tracers).
+        The parameters must be concrete (not traced).
+
+        Arguments:
+            width: largest change of the input in one step, in the unit of the input.
         """
 
     @abc.abstractmethod
     def travelled(self, state: Any, value: Scalar) -> Any:
-        """Memory after a move to a value that may be much longer than those between samples."""
+        """Return the memory after a change of the input that may be much larger than usual.
+
+        Arguments:
+            state: memory before the change.
+            value: new input.
+        """
 
     @abc.abstractmethod
     def history(
         self, inputs: Float[Array, " sample"], state: Any = None
     ) -> tuple[Float[Array, "sample *output"], Any]:
-        """Outputs of a whole input history, one row a sample, and the memory at its end.
+        """Return the outputs for an input history, one row per sample, and the final memory.
 
-        `state` is the memory before the first sample; virgin by default.
+        Arguments:
+            inputs: input at each sample.
+            state: memory before the first sample; by default that of a virgin operator.
 
         Example:
             >>> import jax.numpy as jnp
@@ -64,25 +79,25 @@ class AbstractOperator(eqx.Module):
 
 
 class AbstractExactOperator(AbstractOperator):
-    """An operator without numerical error, however long a move is."""
+    """An operator without numerical error, whatever the size of a step."""
 
     def refined(self, factor: float) -> Self:
-        """The same."""
+        """Return the operator unchanged, because it is exact."""
         return self
 
     def for_moves_of(self, width: float) -> Self:
-        """The same."""
+        """Return the operator unchanged, because it is exact."""
         return self
 
     def travelled(self, state: Any, value: Scalar) -> Any:
-        """Memory after the move, in one step."""
+        """Return the memory after a change of the input, computed in one step."""
         return self.step(state, value)[0]
 
 
 def history_by_steps(
     operator: AbstractOperator, inputs: Float[Array, " sample"], state: Any
 ) -> tuple[Float[Array, "sample *output"], Any]:
-    """The history of an operator for which nothing is faster than one step after the other."""
+    """Compute the history of an operator sample by sample, if there is no faster method."""
     state = operator.reset() if state is None else state
 
     def one(state: Any, value: Scalar) -> tuple[Any, Array]:
@@ -92,21 +107,21 @@ def history_by_steps(
     return outputs, state
 
 
-# Play and stop: the elements of which the other operators are made.
+# Play and stop: the elements of the other operators.
 #
 # Reference: M. Brokate, J. Sprekels, "Hysteresis and Phase Transitions", Springer 1996, ch. 2.
 
 Method = Literal["scan", "associative"]
 METHODS = ("scan", "associative")
 
-_UNROLL = 4  # so many time steps are one turn of the loop: its own cost is then small beside theirs
+_UNROLL = 4  # time steps per iteration of the loop, which makes the overhead of the loop small
 
 
 def clip(value: Array, lower: Array, upper: Array) -> Array:
-    """Value within bounds; where it is at one of them the derivative is not lost.
+    """Limit a value to bounds, with a non-zero derivative if the value is equal to a bound.
 
-    `lax.clamp` differentiates to 0 there, which is where a play is after every clipped step
-    that is followed by a rest.
+    The derivative of `lax.clamp` is 0 there. A play is in this state after every clipped step that
+    is followed by a constant input.
     """
     return smaller(larger(value, lower), upper)
 
@@ -117,15 +132,17 @@ def play(
     state: PerThreshold | None = None,
     method: Method | None = None,
 ) -> Float[Array, "sample threshold"]:
-    """Play operators of many thresholds: w_k = clip(w_{k-1}, u_k - r, u_k + r).
+    """Return play operators of several thresholds: w_k = clip(w_{k-1}, u_k - r, u_k + r).
 
-    Clips of clips are clips, so that the whole history can also be one associative scan. Both
-    methods give the same bits; on a CPU the scan over time is many times faster.
+    The composition of two clips is a clip, so the whole history can also be computed by an
+    associative scan. Both methods give identical results. On a CPU, the scan over time is many
+    times faster.
 
     Arguments:
-        thresholds: r, not negative, in the unit of the input.
+        inputs: input u at each sample.
+        thresholds: thresholds r >= 0, in the unit of the input.
         state: w before the first sample; 0 by default.
-        method: "scan" or "associative"; by default the first on a CPU.
+        method: "scan" or "associative"; by default "scan" on a CPU, otherwise "associative".
 
     Returns:
         w after each sample.
@@ -174,46 +191,46 @@ def stop(
     state: PerThreshold | None = None,
     method: Method | None = None,
 ) -> Float[Array, "sample threshold"]:
-    """Stop operators of many thresholds, e = u - w: what the play of the same threshold leaves.
+    """Return stop operators of several thresholds: e = u - w, with the play w of each threshold.
 
-    Arguments as of `play`: the state is that of the play, w.
+    The arguments are those of `play`. The state is the state w of the plays.
     """
     return inputs[:, None] - play(inputs, thresholds, state, method)
 
 
 class AbstractPlays(AbstractExactOperator):
-    """An operator that remembers plays of its thresholds, and nothing else."""
+    """An operator whose memory consists of the plays of its thresholds."""
 
     @property
     @abc.abstractmethod
     def thresholds(self) -> PerThreshold:
-        """Of the plays, in the unit of the input."""
+        """Thresholds of the plays, in the unit of the input."""
 
     @abc.abstractmethod
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """Outputs at one sample or at many."""
+        """Return the outputs at one or more samples, from inputs and plays."""
 
     def reset(self) -> PerThreshold:
-        """All plays at 0."""
+        """Return the memory of a virgin operator: all plays at 0."""
         return jnp.zeros_like(self.thresholds)
 
     def step(self, state: PerThreshold, value: Scalar) -> tuple[PerThreshold, Array]:
-        """Plays and output after the input has moved."""
+        """Return plays and output after the input has changed to a value."""
         state = clip(state, value - self.thresholds, value + self.thresholds)
         return state, self.output(value, state)
 
     def history(
         self, inputs: Float[Array, " sample"], state: PerThreshold | None = None
     ) -> tuple[Float[Array, "sample *output"], PerThreshold]:
-        """Outputs at all samples."""
+        """Return the outputs at all samples and the final plays."""
         plays = play(inputs, self.thresholds, state)
         return self.output(inputs, plays), plays[-1]
 
 
 class Play(AbstractPlays):
-    """Play operators side by side: backlash of half-widths `thresholds`, in the input's unit."""
+    """Parallel play operators: backlash of half-widths `thresholds`, in the unit of the input."""
 
     thresholds: PerThreshold = parameter(PLAY.thresholds)
 
@@ -223,12 +240,15 @@ class Play(AbstractPlays):
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """The plays."""
+        """Return the plays."""
         return plays
 
 
 class Stop(AbstractPlays):
-    """Stop operators side by side: elastic up to `thresholds`, then sliding. Remembers plays."""
+    """Parallel stop operators: elastic up to `thresholds`, then sliding.
+
+    The memory consists of the plays.
+    """
 
     thresholds: PerThreshold = parameter(STOP.thresholds)
 
@@ -238,15 +258,17 @@ class Stop(AbstractPlays):
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """What the plays leave."""
+        """Return the inputs minus the plays."""
         return jnp.asarray(inputs)[..., None] - plays
 
 
 def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
-    """Refuse thresholds that are not a list of numbers of at least 0, or have other weights.
+    """Check that thresholds are a list of numbers of at least 0, with one weight for each.
+
+    Traced values are not checked.
 
     Raises:
-        InputError: where the values are known, not while a program is traced.
+        InputError: the thresholds or weights are not valid.
     """
     if eqx.is_array(thresholds) and is_concrete(thresholds):
         if thresholds.ndim != 1 or thresholds.shape[0] == 0:
@@ -264,19 +286,23 @@ def check_thresholds(thresholds: Array, weights: Array | None = None) -> None:
         )
 
 
-_HALVINGS = 60  # each halves the bracket: after 60 of them it is below rounding
-_EDGE = 1e-12  # so near to an end of the bracket, relative to its width, the end is the answer
+_HALVINGS = 60  # bisection steps, after which the bracket is smaller than the rounding error
+_EDGE = 1e-12  # distance from an end, relative to the bracket, within which the end is the answer
 
 
 class InverseByBisection(AbstractExactOperator):
-    """The input within a bracket whose output is nearest to the desired one, at each step.
+    """Inverse operator: at each step, the input in a bracket whose output is nearest to a value.
 
-    For operators whose output never falls when the input rises, such as Preisach's with a
-    positive density. Where an output belongs to no input of the bracket, its nearest end is
-    the answer.
+    The output of the operator must not decrease when its input increases, as for the Preisach
+    operator with a positive density. If no input in the bracket gives the desired output, the
+    result is the nearest end of the bracket.
 
-    The answer is differentiable, by the implicit function theorem, where the operator's output
-    rises there and the bracket does not end there.
+    The result is differentiable by the implicit function theorem, if the output of the operator
+    increases there and the result is not an end of the bracket.
+
+    Attributes:
+        operator: operator to be inverted.
+        lower, upper: ends of the bracket, in the unit of the input of the operator.
     """
 
     operator: AbstractOperator
@@ -284,11 +310,11 @@ class InverseByBisection(AbstractExactOperator):
     upper: float = eqx.field(static=True)
 
     def reset(self) -> Any:
-        """The memory of the operator."""
+        """Return the memory of the virgin operator."""
         return self.operator.reset()
 
     def step(self, state: Any, value: Scalar) -> tuple[Any, Scalar]:
-        """Memory of the operator after its input moved to where its output is the value."""
+        """Return the memory of the operator and its input at which the output is the value."""
         fixed, memory, goal = jax.lax.stop_gradient((self.operator, state, value))
 
         def halve(_: int, bracket: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
@@ -305,11 +331,11 @@ class InverseByBisection(AbstractExactOperator):
     def history(
         self, inputs: Float[Array, " sample"], state: Any = None
     ) -> tuple[Float[Array, " sample"], Any]:
-        """Outputs at all samples."""
+        """Return the inputs of the operator at all samples, and the final memory."""
         return history_by_steps(self, inputs, state)
 
     def _differentiable(self, state: Any, value: Scalar, root: Scalar) -> Scalar:
-        """The root with its derivative: one Newton step, whose value is 0."""
+        """Return the root with its derivative, from one Newton step whose value is 0."""
 
         def output(at: Scalar) -> Scalar:
             return self.operator.step(state, at)[1]

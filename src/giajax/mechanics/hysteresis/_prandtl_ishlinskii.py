@@ -1,4 +1,4 @@
-"""The Prandtl-Ishlinskii operator, of either kind, and its exact inverse.
+"""The classical and the modified Prandtl-Ishlinskii operator, and their exact inverses.
 
 References: K. Kuhnen, "Modeling, identification and compensation of complex hysteretic
 nonlinearities: a modified Prandtl-Ishlinskii approach", Eur. J. Control 9 (2003) 407-418;
@@ -17,25 +17,27 @@ from ...schema import DEAD_ZONES, MODIFIED_PRANDTL_ISHLINSKII, PRANDTL_ISHLINSKI
 from ...schema.parameters import is_concrete, parameter
 from ._operator import AbstractExactOperator, AbstractPlays, PerThreshold, check_thresholds
 
-# A piece whose slope is less than this part of the largest is level, as far as an inverse goes.
+# For an inverse, a piece is level if its slope is less than this fraction of the largest slope.
 _LEVEL = 1e-6
 
 
 class DeadZones(eqx.Module):
-    """S(x) = slope x between the dead zones nearest to 0, with a slope of its own beyond each.
+    """A piecewise linear curve S(x) without memory: a superposition of one-sided dead zones.
 
-    A memoryless, monotone, piecewise linear curve: a superposition of one-sided dead zones. In the
-    usual notation the weight of a dead zone is the change of the slope at its threshold. Here the
-    slopes are the parameters: S increases where all of them are positive.
+    Between the two thresholds nearest to 0, S(x) = slope x. Beyond each threshold, the slope has a
+    new value. In the usual notation, the weight of a dead zone is the change in slope at its
+    threshold. Here the slopes are the parameters, and S increases if all of them are positive.
 
     Arguments:
-        slope: at 0.
-        upper_thresholds, upper_slopes: positive, where the slope changes, and that beyond each.
-        lower_thresholds, lower_slopes: distances below 0, positive, and the slopes beyond them.
+        slope: slope at 0.
+        upper_thresholds: positive positions at which the slope changes.
+        upper_slopes: slope beyond each upper threshold.
+        lower_thresholds: positive distances below 0 at which the slope changes.
+        lower_slopes: slope beyond each lower threshold.
 
     Raises:
-        InputError: a list of slopes that is not as long as its thresholds, or a threshold that
-            is not positive.
+        InputError: the number of slopes is not the number of thresholds, or a threshold is not
+            positive.
     """
 
     slope: Scalar = parameter(DEAD_ZONES.slope)
@@ -52,34 +54,34 @@ class DeadZones(eqx.Module):
                 continue
             if thresholds.shape != slopes.shape or thresholds.ndim != 1:
                 raise InputError(
-                    f"there are {name} dead zones of shape {thresholds.shape} and slopes of shape "
-                    f"{slopes.shape}: give one slope for each dead zone"
+                    f"the {name} dead zones have thresholds of shape {thresholds.shape} and slopes "
+                    f"of shape {slopes.shape}: give one slope for each dead zone"
                 )
             if not bool(jnp.all(thresholds > 0)):
                 raise InputError(
                     f"a threshold of the {name} dead zones is not positive: give positive "
-                    f"distances from 0"
+                    "distances from 0"
                 )
 
     def __call__(self, x: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """The curve at x."""
+        """Return the value of the curve at x."""
         above = _beyond(x, self.slope, self.upper_thresholds, self.upper_slopes)
         below = _beyond(-x, self.slope, self.lower_thresholds, self.lower_slopes)
         return self.slope * x + above - below
 
     def inverse(self) -> "DeadZones":
-        """The curve that undoes this one, of the same form; where this one is level, it jumps.
+        """Return the inverse curve, which has the same form and jumps where this curve is level.
 
         Raises:
-            InputError: a slope below 0, or none above.
+            InputError: a slope is negative, or no slope is positive.
         """
         slopes = jnp.concatenate([self.slope[None], self.upper_slopes, self.lower_slopes])
         if is_concrete(slopes) and not bool(jnp.all(slopes >= 0) & jnp.any(slopes > 0)):
             raise InputError(
-                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, so that it has no "
-                f"inverse: make at least one slope positive and none negative"
+                f"a dead zone has the slope {float(jnp.min(slopes)):.3g}, so it has no "
+                "inverse: make at least one slope positive and none negative"
             )
-        # A jump is a piece that is very steep.
+        # A jump is represented by a very steep piece.
         least = _LEVEL * jnp.max(slopes)
         slope, upper, lower = (
             larger(each, least) for each in (self.slope, self.upper_slopes, self.lower_slopes)
@@ -92,7 +94,7 @@ class DeadZones(eqx.Module):
 
 
 def _over(x: Array, thresholds: Float[Array, " n"]) -> Array:
-    """By how much numbers are over each threshold, along a new last axis."""
+    """Return the excess of numbers over each threshold (at least 0), along a new last axis."""
     row = jnp.reshape(thresholds, (1,) * x.ndim + thresholds.shape)
     return larger(jnp.expand_dims(x, -1) - row, 0)
 
@@ -103,7 +105,7 @@ def _sorted(thresholds: Array, slopes: Array) -> tuple[Array, Array]:
 
 
 def _before(slope: Array, slopes: Array) -> Array:
-    """Slope of the piece before each threshold."""
+    """Return the slope of the piece before each threshold."""
     return jnp.concatenate([slope[None], slopes[:-1]])
 
 
@@ -123,16 +125,16 @@ ELEMENTS = ("play", "stop")
 
 
 class PrandtlIshlinskii(AbstractPlays):
-    """y = elastic u + sum of weights times plays (or stops) of the input.
+    """The operator y = elastic u + sum of weights times plays (or stops) of the input u.
 
     Arguments:
-        elastic: w_0, output per input of the element without memory.
-        weights: w_i, output per input.
-        thresholds: r_i, in the unit of the input.
+        elastic: weight w_0 of the element without memory, output per input.
+        weights: weights w_i of the plays or stops, output per input.
+        thresholds: thresholds r_i, in the unit of the input.
         elements: "play" or "stop".
 
     Raises:
-        InputError: lists of different lengths, or a negative threshold.
+        InputError: the lists have different lengths, or a threshold is negative.
     """
 
     elastic: Scalar = parameter(PRANDTL_ISHLINSKII.elastic)
@@ -143,12 +145,12 @@ class PrandtlIshlinskii(AbstractPlays):
     def __check_init__(self) -> None:
         check_thresholds(self.thresholds, self.weights)
         if self.elements not in ELEMENTS:
-            raise InputError(f"there are no elements '{self.elements}': use play or stop")
+            raise InputError(f"the elements '{self.elements}' are unknown: use play or stop")
 
     def of_plays(self) -> tuple[Scalar, PerThreshold]:
-        """Elastic weight and weights of the same operator written with plays.
+        """Return the elastic weight and the weights of the same operator expressed by plays.
 
-        A stop is the input less the play.
+        A stop is the input minus the play.
         """
         if self.elements == "play":
             return self.elastic, self.weights
@@ -157,24 +159,29 @@ class PrandtlIshlinskii(AbstractPlays):
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """The elastic part, and the weighted plays."""
+        """Return the sum of the elastic part and the weighted plays."""
         elastic, weights = self.of_plays()
         return elastic * inputs + plays @ weights
 
     def loading(self, amplitude: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """The initial loading curve: output of the virgin operator on the way up from 0."""
+        """Return the initial loading curve: output of the virgin operator for an increasing input.
+
+        Arguments:
+            amplitude: input, which has increased from 0.
+        """
         elastic, weights = self.of_plays()
         return elastic * amplitude + _over(amplitude, self.thresholds) @ weights
 
     def inverse(self) -> Self:
-        """The operator that undoes this one, a Prandtl-Ishlinskii operator of plays.
+        """Return the inverse operator, which is a Prandtl-Ishlinskii operator of plays.
 
-        Its thresholds are the loading curve at the thresholds, its slopes the inverse slopes:
-        exact for any history, minor loops included.
+        Its thresholds are the values of the loading curve at the thresholds of this operator, and
+        its slopes are the reciprocals of the slopes. It is exact for any history, including minor
+        loops.
 
         Raises:
-            InputError: the loading curve does not increase everywhere, so that one output
-                belongs to several inputs.
+            InputError: the loading curve does not increase everywhere, so several inputs have the
+                same output.
         """
         elastic, weights = self.of_plays()
         order = jnp.argsort(self.thresholds)
@@ -182,11 +189,10 @@ class PrandtlIshlinskii(AbstractPlays):
         slopes = jnp.concatenate([elastic[None], elastic + jnp.cumsum(weights)])
         if is_concrete(slopes) and not bool(jnp.all(slopes > 0)):
             raise InputError(
-                f"the slope of the loading curve decreases to {float(jnp.min(slopes)):.3g}, which "
-                f"has "
-                "no inverse: fit with a positive elastic weight"
+                f"the slope of the loading curve decreases to {float(jnp.min(slopes)):.3g}, so the "
+                "curve has no inverse: fit with a positive elastic weight"
             )
-        # The loading curve at each threshold, from the slope of each piece before it.
+        # The loading curve at each threshold follows from the slopes of the pieces before it.
         lengths = jnp.diff(thresholds, prepend=jnp.zeros_like(thresholds[:1]))
         inverse_slopes = 1 / slopes
         return type(self)(
@@ -197,7 +203,7 @@ class PrandtlIshlinskii(AbstractPlays):
         )
 
     def inverse_state(self, state: PerThreshold) -> PerThreshold:
-        """Memory of the inverse that belongs to a memory of this operator."""
+        """Return the memory of the inverse that corresponds to a memory of this operator."""
         elastic, weights = self.of_plays()
         order = jnp.argsort(self.thresholds)
         weights, state = weights[order], state[order]
@@ -207,21 +213,22 @@ class PrandtlIshlinskii(AbstractPlays):
 
 
 class ModifiedPrandtlIshlinskii(AbstractPlays):
-    """y = S(H[u]): a memoryless curve of the output of a Prandtl-Ishlinskii operator of plays.
+    """The modified Prandtl-Ishlinskii operator y = S(H[u]).
 
-    H alone is odd and does not know where 0 is; S is neither: it gives loops without symmetry,
-    and a region that is soft at an angle fixed on the joint.
+    H is a Prandtl-Ishlinskii operator of plays, and S a curve without memory. The loops of H alone
+    are symmetric and have the same shape at any offset of the input. S permits asymmetric loops and
+    a soft region at a fixed angle of the joint.
 
-    H = (u + sum of weights times plays) / (1 + sum of weights) has the slope 1 in large loops,
-    because its scale and that of S cannot be separated.
+    H = (u + sum of weights times plays) / (1 + sum of weights) is normalised to the slope 1 in
+    large loops, because the scales of H and S cannot be separated.
 
     Arguments:
-        dead_zones: S.
-        weights: of the plays, relative to that of the input.
-        thresholds: of the plays, in the unit of the input.
+        dead_zones: curve S.
+        weights: weights of the plays, relative to the weight of the input.
+        thresholds: thresholds of the plays, in the unit of the input.
 
     Raises:
-        InputError: lists of different lengths, or a negative threshold.
+        InputError: the lists have different lengths, or a threshold is negative.
     """
 
     dead_zones: DeadZones
@@ -233,18 +240,18 @@ class ModifiedPrandtlIshlinskii(AbstractPlays):
 
     @property
     def hysteresis(self) -> PrandtlIshlinskii:
-        """H."""
+        """The operator H."""
         total = 1 + jnp.sum(self.weights)
         return PrandtlIshlinskii(1 / total, self.weights / total, self.thresholds)
 
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """The curve of the outputs of H."""
+        """Return S of the outputs of H."""
         return self.dead_zones(self.hysteresis.output(inputs, plays))
 
     def inverse(self) -> "InverseModified":
-        """The operator that undoes this one: first the inverse curve, then the inverse of H.
+        """Return the inverse operator: the inverse of S, followed by the inverse of H.
 
         Raises:
             InputError: H or S does not increase everywhere.
@@ -252,26 +259,31 @@ class ModifiedPrandtlIshlinskii(AbstractPlays):
         return InverseModified(self.dead_zones.inverse(), self.hysteresis.inverse())
 
     def inverse_state(self, state: PerThreshold) -> PerThreshold:
-        """Memory of the inverse that belongs to a memory of this operator."""
+        """Return the memory of the inverse that corresponds to a memory of this operator."""
         return self.hysteresis.inverse_state(state)
 
 
 class InverseModified(AbstractExactOperator):
-    """u = H^-1[S^-1(y)]: the exact inverse of a modified operator, of inverses of S and H."""
+    """The exact inverse u = H^-1[S^-1(y)] of a modified Prandtl-Ishlinskii operator.
+
+    Attributes:
+        dead_zones: inverse of S.
+        hysteresis: inverse of H.
+    """
 
     dead_zones: DeadZones
     hysteresis: PrandtlIshlinskii
 
     def reset(self) -> Any:
-        """All plays at 0."""
+        """Return the memory of a virgin operator: all plays at 0."""
         return self.hysteresis.reset()
 
     def step(self, state: Any, value: Scalar) -> tuple[Any, Scalar]:
-        """Plays and output after the input has moved."""
+        """Return plays and output after the input has changed to a value."""
         return self.hysteresis.step(state, self.dead_zones(value))
 
     def history(
         self, inputs: Float[Array, " sample"], state: Any = None
     ) -> tuple[Float[Array, " sample"], Any]:
-        """Outputs at all samples."""
+        """Return the outputs at all samples and the final plays."""
         return self.hysteresis.history(self.dead_zones(inputs), state)

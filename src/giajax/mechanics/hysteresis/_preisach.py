@@ -1,9 +1,10 @@
-"""The Preisach operator on a triangular mesh, with exact memory and a density of few parameters.
+"""The Preisach operator on a triangular mesh, with exact memory and a parametric density.
 
-Written with the half-width r and the centre s of a relay instead of its two thresholds s + r and
-s - r, the line that divides the relays that are up from those that are down is s = w(r), the
-play of threshold r. So the memory needs no smoothing and no list of extremes: it is the plays of
-the rows of the mesh. Along a row the density is integrated exactly up to w.
+Each relay has the thresholds s + r and s - r, where r is its half-width and s its centre. In these
+coordinates, the line that separates the relays in the upper state from those in the lower state is
+s = w(r), the play of threshold r. The memory therefore needs neither smoothing nor a list of
+extrema: it consists of the plays of the rows of the mesh. Along each row, the density is integrated
+exactly up to w.
 
 References: I. D. Mayergoyz, "Mathematical Models of Hysteresis", Springer 1991; M. Brokate,
 J. Sprekels, "Hysteresis and Phase Transitions", Springer 1996, ch. 2.
@@ -20,24 +21,24 @@ from ._operator import AbstractPlays, clip
 
 
 class Preisach(AbstractPlays):
-    """y = slope u + saturation times the mean of all relays, weighted by their density.
+    """The Preisach operator: y = slope u + saturation times the weighted mean of all relays.
 
-    The density is a log-normal distribution of the half-width r of the relays times a normal
-    distribution of their centre s, over the triangle r > 0, |s| + r < extent. It is constant
-    within a cell of the mesh.
+    The weight is the density: a log-normal distribution of the half-width r of the relays times a
+    normal distribution of their centre s, on the triangle r > 0, |s| + r < extent. It is constant
+    within each cell of the mesh.
 
     Arguments:
-        slope: reversible part, output per input.
-        saturation: output of all relays up.
+        slope: slope of the reversible part, output per input.
+        saturation: output if all relays are in the upper state.
         coercivity: median half-width of the relays, in the unit of the input.
         coercivity_spread: standard deviation of the logarithm of the half-width.
-        bias: mean centre of the relays, in the unit of the input.
+        bias: mean of the centres of the relays, in the unit of the input.
         interaction: standard deviation of the centres, in the unit of the input.
-        extent: largest input that switches a relay; the size of the triangle.
-        rows: number of rows of the mesh (half-widths); each has twice as many cells.
+        extent: largest input that switches a relay, which is the size of the triangle.
+        rows: number of rows (half-widths) of the mesh; each row has twice this number of cells.
 
     Raises:
-        InputError: an extent that is not positive, or fewer than 2 rows.
+        InputError: the extent is not positive, or there are fewer than 2 rows.
     """
 
     slope: Scalar = parameter(PREISACH.slope)
@@ -59,17 +60,21 @@ class Preisach(AbstractPlays):
 
     @property
     def half_widths(self) -> Float[Array, " row"]:
-        """r of each row: the middle of its strip of the triangle."""
+        """Half-width r of each row: the middle of its strip of the triangle."""
         fractions = (jnp.arange(self.rows, dtype=jnp.result_type(float)) + 0.5) / self.rows
         return self.extent * fractions
 
     @property
     def thresholds(self) -> Float[Array, " row"]:
-        """Those of the plays: 0 is the demagnetised state, relays below s = 0 up, above down."""
+        """Thresholds of the plays.
+
+        Plays of 0 are the demagnetised state: the relays below s = 0 are in the upper state, those
+        above in the lower state.
+        """
         return self.half_widths
 
     def cells(self) -> Float[Array, "row cell"]:
-        """Weight of each cell: the density times its area, in total 1."""
+        """Return the weight of each cell: the density times its area, normalised to a sum of 1."""
         r = self.half_widths[:, None]
         count = 2 * self.rows
         middles = (jnp.arange(count, dtype=r.dtype) + 0.5) / self.rows - 1
@@ -78,18 +83,19 @@ class Preisach(AbstractPlays):
         across = ((s - self.bias) / self.interaction) ** 2
         along = (jnp.log(r / self.coercivity) / self.coercivity_spread) ** 2
         logarithm = -(across + along) / 2 - jnp.log(r) + jnp.log(room)
-        # Far from the truth all cells would round to 0: only their ratios matter.
+        # Only the ratios matter. Without this shift, all cells could be rounded to 0 for poor
+        # parameter values.
         weights = jnp.exp(logarithm - jnp.max(logarithm))
         return weights / jnp.sum(weights)
 
     def output(
         self, inputs: Float[Array, "*sample"], plays: Float[Array, "*sample threshold"]
     ) -> Array:
-        """The weight of the relays that are up, and the reversible part."""
+        """Return the sum of the reversible part and the weighted mean of the relays."""
         weights = self.cells()
         nothing = jnp.zeros_like(weights[:, :1])
         below = jnp.concatenate([nothing, jnp.cumsum(weights, axis=1)], axis=1)
-        # Where the dividing line cuts each row, counted in cells.
+        # Position at which the dividing line crosses each row, in units of cells.
         position = (
             plays.reshape(-1, self.rows) / (self.extent - self.half_widths)[None] + 1
         ) * self.rows

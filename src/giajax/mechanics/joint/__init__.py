@@ -1,4 +1,4 @@
-"""One joint at rest: muscle paths, forces, corrections, muscles and their pressures."""
+"""Statics of one joint: muscle paths, forces, corrections, muscle laws and pressures."""
 
 from ._equilibria import (
     Equilibria as Equilibria,

@@ -1,8 +1,8 @@
-"""All angles at which two pressures hold a joint, their stability and stiffness.
+"""All equilibrium angles of a joint at two given pressures, with stability and stiffness.
 
-Where the muscles are straight their levers grow with the angle of the outer one: the pair is then
-unstable, and the same two pressures hold the joint on either side of 0. That is the paper's
-singularity at 0 deg.
+If the muscles are straight, the lever arm of the outer muscle increases with the angle. The pair is
+then unstable, and the same two pressures hold the joint on either side of 0. This is the
+singularity at 0 deg that the paper describes.
 """
 
 import dataclasses
@@ -35,20 +35,20 @@ from ._pair import (
 
 @dataclasses.dataclass(frozen=True)
 class Equilibrium:
-    """One angle at which a pair rests.
+    """One equilibrium of a pair.
 
     Attributes:
-        angle: rad.
-        stiffness: d(torque)/d(angle) against a displacement, N m/rad; negative where the joint
-            runs away. Infinite at a step of the torque (see `at_step`).
-        muscle_stiffness: the muscles' part of it, without the corrections.
-        stable: whether the joint comes back after a small push.
-        branches: which path the first and the second muscle take.
-        at_step: the torque changes its sign in a step of the corrections, as at a point of
-            friction, and is zero on neither side of it: at 0, where alpha(0) and beta(0) differ,
-            and with the printed beta at its width and its threshold (2 and 20 deg). The joint
-            rests there, stiffness inf, where the torque falls through the step; where it rises
-            the stiffness is -inf.
+        angle: equilibrium angle, rad.
+        stiffness: increase in the restoring torque with the displacement, N m/rad; negative if the
+            equilibrium is unstable, infinite at a jump of the torque (see `at_step`).
+        muscle_stiffness: contribution of the muscles to the stiffness, without the corrections.
+        stable: whether the joint returns after a small displacement.
+        branches: branches of the paths of the first and the second muscle.
+        at_step: whether the torque changes sign in a jump of the corrections and is zero on neither
+            side, similar to dry friction. Jumps occur at 0, where alpha(0) and beta(0) differ, and
+            at the width and the threshold of the printed beta (2 and 20 deg). If the torque
+            decreases in the jump, the equilibrium is stable with the stiffness inf. If it
+            increases, the stiffness is -inf.
     """
 
     angle: float
@@ -61,14 +61,14 @@ class Equilibrium:
 
 @dataclasses.dataclass(frozen=True)
 class Equilibria:
-    """Every equilibrium within the joint's range, by angle.
+    """All equilibria within the range of the joint.
 
     Attributes:
-        every: the equilibria, stable or not, from the smallest angle to the largest.
+        every: stable and unstable equilibria in order of increasing angle.
         at_lower_stop, at_upper_stop: whether the torque drives the joint against the end of its
             range, -60 or 60 deg.
-        indifferent: whether there is a range of angles in which nothing acts on the joint, as
-            with slack muscles: it rests at any of them, and none of them is listed.
+        indifferent: whether there is an interval of angles without torque, for example with slack
+            muscles. The joint rests at any of these angles, and none of them is listed.
     """
 
     every: tuple[Equilibrium, ...]
@@ -78,37 +78,45 @@ class Equilibria:
 
     @property
     def stable(self) -> tuple[Equilibrium, ...]:
-        """Those to which the joint comes back."""
+        """The stable equilibria."""
         return tuple(equilibrium for equilibrium in self.every if equilibrium.stable)
 
     @property
     def angles(self) -> np.ndarray:
-        """Angles of all of them, rad, shape (equilibrium,)."""
+        """Angles of all equilibria, rad, shape (equilibrium,)."""
         return np.asarray([equilibrium.angle for equilibrium in self.every])
 
 
-# Intervals of the search on either side of 0: 0.1 deg each. Within one the torque is smooth or
-# has one kink, and its extremum parts two roots.
+# Number of search intervals of 0.1 deg on either side of 0. In each interval, the torque is smooth
+# or has one kink, and an extremum separates two roots.
 _INTERVALS = 600
 
-_MOST = 24  # more roots, or extrema, than a side of any pair can have
+_MOST = 24  # larger than the number of roots or extrema on one side of any pair
 
-# Around a jump of the torque, as the printed beta has: how far from it its two sides are taken,
-# rad, which the search resolves, and from which rise between them (N m) on it is a jump.
+# The printed beta causes jumps of the torque. `_BESIDE` is the distance (rad) from a root at which
+# the torques on both sides are evaluated. Their difference is a jump if it exceeds `JUMP` (N m).
 _BESIDE = 1e-12
 JUMP = 1e-9
 
-_APART = 1e-9  # an extra node on either side of a jump, relative to its angle
+_APART = 1e-9  # distance of an extra node on either side of a jump, relative to its angle
 
 
 class Roots(eqx.Module):
     """Roots of the torque on one side of 0.
 
-    The first `count` elements of each array belong to them, the last one to the angle 0: angles
-    (rad), slopes of the torque and of the corrections (N m/rad), and torques just beside each root
-    (N m). `engaged` is whether the wire of the first and of the second muscle is taut or the muscle
-    wraps, `first` and `last` the torques at the ends of the side (N m), `idle` whether there is no
-    torque anywhere between two nodes.
+    In each array, the first `count` elements belong to the roots, and the last element belongs to
+    the angle 0.
+
+    Attributes:
+        count: number of roots.
+        angles: angles of the roots, rad.
+        slopes: derivatives of the torque with respect to the angle, N m/rad.
+        resistance: derivatives of the resisting torque of the corrections, N m/rad.
+        below, above: torques directly below and above each root, N m.
+        engaged: for the first and the second muscle, whether its wire is taut or it wraps around
+            the balloon.
+        first, last: torques at the first and the last node of the side, N m.
+        idle: whether the torque is 0 at two neighbouring nodes.
     """
 
     count: Int[Array, ""]
@@ -125,18 +133,21 @@ class Roots(eqx.Module):
 
 @program
 def search(side: OneSide, nodes: Float[Array, " node"]) -> Roots:
-    """All roots between increasing nodes: one program for any pair of a kind."""
+    """Find all roots between increasing nodes.
+
+    One compiled program serves all pairs of the same structure.
+    """
     torque, slope = side_torque(nodes, side), side_slope(nodes, side)
-    # An extremum inside an interval may hide two roots.
+    # An interval with an extremum may contain two roots.
     turning = _between(side_slope, side, nodes, slope)
     inside = jnp.sort(jnp.concatenate([nodes, jnp.where(jnp.isnan(turning), nodes[-1], turning)]))
     roots = _between(side_torque, side, inside, side_torque(inside, side))
-    roots = jnp.sort(roots)  # NaN, where there is none, comes last
+    roots = jnp.sort(roots)  # missing roots are NaN and are sorted to the end
     count = jnp.sum(~jnp.isnan(roots))
     angles = jnp.append(jnp.where(jnp.isnan(roots), 0, roots), jnp.zeros(1))
     below, above = (side_torque(angles + step, side) for step in (-_BESIDE, _BESIDE))
     geometry, ahead = side.pair.joint.geometry, jnp.broadcast_to(side.ahead, angles.shape)
-    # At one end of a jump the slopes are those of that end.
+    # If a root is at one end of a jump, the slopes are evaluated on that side of the jump.
     smooth = jnp.where(jnp.abs(above) < jnp.abs(below), angles + _BESIDE, angles - _BESIDE)
     smooth = jnp.where(jnp.abs(above - below) > JUMP, smooth, angles)
     return Roots(
@@ -159,7 +170,7 @@ def search(side: OneSide, nodes: Float[Array, " node"]) -> Roots:
 def _between(
     function: Callable[[Array, OneSide], Array], side: OneSide, nodes: Array, values: Array
 ) -> Array:
-    """Roots between neighbouring nodes where the sign differs; NaN fills the array."""
+    """Return the roots between neighbouring nodes whose signs differ, padded with NaN."""
     sign = jnp.sign(values)
     (at,) = jnp.nonzero(
         (sign[:-1] != sign[1:]) & (sign[1:] != 0) & (nodes[1:] > nodes[:-1]),
@@ -173,8 +184,8 @@ def _between(
 
 
 def angles_to_search(pair: JointPair, ahead: bool) -> np.ndarray:
-    """Angles of one side, increasing: an even grid, and where the torque has a kink."""
-    # A little beyond the end, so that an equilibrium at the end is not lost to rounding.
+    """Return increasing angles of one side: a uniform grid and the kinks of the torque."""
+    # The grid ends slightly beyond the range, so that rounding does not lose an equilibrium there.
     end = LARGEST_ANGLE * (1 + 1e-9)
     grid = np.linspace(0.0, end, _INTERVALS + 1)
     correction = pair.joint.correction
@@ -186,33 +197,34 @@ def angles_to_search(pair: JointPair, ahead: bool) -> np.ndarray:
         kinks += [*(jumps * (1 - _APART)), *(jumps * (1 + _APART))]
     sizes = np.abs([*branch_angles(pair.joint.geometry), *kinks])
     sizes = np.unique(np.concatenate([grid, sizes[sizes < end]]))
-    # A fixed number, so that other kinks need no other program.
+    # The number of angles is fixed, so that the program is not compiled again for other kinks.
     sizes = np.pad(sizes, (0, _INTERVALS + 12 - len(sizes)), mode="edge")
     return sizes if ahead else -sizes[::-1]
 
 
-# A torque below this (N m) at 0 is the rounding of 0, and an angle below this (rad) is 0.
+# A smaller torque (N m) at the angle 0 and a smaller angle (rad) are rounding errors of zero.
 _NO_TORQUE = 1e-12
 _NO_ANGLE = 1e-9
 
-_ZERO = -1  # where each array of a side has what belongs to the angle 0
+_ZERO = -1  # index of the element that belongs to the angle 0 in the arrays of a side
 
 
 def equilibria(
     pair: JointPair, pressures: npt.ArrayLike | Array, load: float | Array = 0.0
 ) -> Equilibria:
-    """All angles within -60 to 60 deg at which two pressures hold a joint.
+    """Find all angles from -60 to 60 deg at which two pressures hold a joint.
 
-    The torque is evaluated every 0.1 deg and at its kinks; each interval is divided at the
-    extremum of the torque where there is one inside, so that neither of two near roots is missed.
+    The torque is evaluated every 0.1 deg and at its kinks. An interval that contains an extremum of
+    the torque is divided there, so that two roots near each other are both found.
 
     Arguments:
-        pressures: of the first and the second muscle, Pa.
-        load: torque from outside, towards negative angles, N m.
+        pair: the joint with its muscles.
+        pressures: pressures of the first and the second muscle, Pa.
+        load: external torque towards negative angles, N m.
 
     Raises:
-        InputError: pressures that are not two numbers of at least 0, an impossible geometry, or a
-            neck that the muscles crush in the straight joint.
+        InputError: the pressures are not two numbers of at least 0, the geometry is impossible, or
+            the muscles crush the neck of the straight joint.
 
     Example:
         >>> import numpy as np
@@ -248,10 +260,10 @@ def equilibria(
 
 
 def crushed_neck(pair: JointPair, pressures: Array) -> str | None:
-    """That pressures (Pa) of the muscles crush the neck of the straight joint; None: they do not.
+    """Return a message if pressures (Pa) crush the neck of the straight joint, otherwise None.
 
     Raises:
-        InputError: a size of the neck is 0.
+        InputError: a dimension of the neck is not positive.
     """
     if pair.neck.radius is None:
         return None
@@ -261,13 +273,13 @@ def crushed_neck(pair: JointPair, pressures: Array) -> str | None:
 
 
 def _listed(roots: Roots, ahead: bool) -> list[Equilibrium]:
-    """The roots of one side, without one at 0."""
+    """Return the equilibria of one side, except at the angle 0."""
     rows = [row for row in range(int(roots.count)) if abs(roots.angles[row]) > _NO_ANGLE]
     return [_equilibrium(roots, row, ahead, **_in_jump(roots, row)) for row in rows]
 
 
 def _in_jump(roots: Roots, row: int) -> dict[str, Any]:
-    """What is different at a root in a jump of the torque; nothing elsewhere."""
+    """Return the attributes of an equilibrium that differ in a jump; empty elsewhere."""
     below, above = float(roots.below[row]), float(roots.above[row])
     if abs(above - below) <= JUMP:
         return {}
@@ -278,7 +290,10 @@ def _in_jump(roots: Roots, row: int) -> dict[str, Any]:
 
 
 def _step(roots: Roots, row: int, *, falls: bool) -> dict[str, Any]:
-    """What is different where the torque steps through 0: it is stable where it falls."""
+    """Return the attributes of an equilibrium where the torque jumps through 0.
+
+    The equilibrium is stable if the torque falls in the jump.
+    """
     slope = float(roots.slopes[row] + roots.resistance[row])
     stiffness = math.inf if falls else -math.inf
     return {"stiffness": stiffness, "muscle_stiffness": -slope, "stable": falls, "at_step": True}
@@ -300,13 +315,14 @@ def _equilibrium(roots: Roots, row: int, ahead: bool, **more: Any) -> Equilibriu
 
 
 def _at_zero(behind: Roots, ahead: Roots) -> list[Equilibrium]:
-    """The equilibrium at 0, if there is one.
+    """Return the equilibrium at the angle 0, if there is one.
 
-    The torque steps there by alpha(0) - beta(0) on either side. It may change its sign in the
-    step, or be zero at one of its ends, where only the other side decides what is stable.
+    The torque jumps there by alpha(0) - beta(0) on either side. It may change sign in the jump. If
+    it is zero at one end of the jump, stability also depends on the torque at the other end.
     """
     before, after = float(behind.last), float(ahead.first)
-    to_zero = {False: after < 0, True: before > 0}  # what the torque beyond 0 does
+    # Whether the torque on the opposite side of 0 drives the joint towards 0.
+    to_zero = {False: after < 0, True: before > 0}
     if abs(before) <= _NO_TORQUE and abs(after) <= _NO_TORQUE:
         return [_equilibrium(ahead, _ZERO, True)]
     for value, side, is_ahead in ((after, ahead, True), (before, behind, False)):

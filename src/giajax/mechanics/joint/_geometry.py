@@ -1,4 +1,4 @@
-"""Geometry of one joint, and the path of its muscle on all four branches (eqs 2, 3, 7 and 8)."""
+"""Geometry of one joint, and the path of its muscle on the four branches (eqs 2, 3, 7 and 8)."""
 
 import functools
 from typing import NamedTuple
@@ -16,16 +16,16 @@ from ...schema.parameters import is_concrete, parameter
 
 Shaped = Float[Array, "*shape"]
 
-LARGEST_ANGLE = float(np.deg2rad(60.0))  # how far the joint bends (table 2), rad
+LARGEST_ANGLE = float(np.deg2rad(60.0))  # largest bending angle of the joint (table 2), rad
 
 Point = tuple[Array, Array]
 
 
 class Bend(NamedTuple):
-    """Cosine and sine of half a bending angle, by which each link turns.
+    """Cosine and sine of half the bending angle, by which each link rotates.
 
-    They are worked out once an angle: a compiler that works them out for each use makes muscles
-    twice as dear.
+    They are computed once for each angle. If the compiler recomputes them for each use, muscles
+    take twice as much time.
     """
 
     cosine: Array
@@ -33,32 +33,35 @@ class Bend(NamedTuple):
 
     @classmethod
     def by(cls, angle: Shaped) -> "Bend":
-        """The bend by an angle, rad."""
+        """Return the bend for a bending angle, rad."""
         return cls(jnp.cos(angle / 2), jnp.sin(angle / 2))
 
     @property
     def back(self) -> "Bend":
-        """The bend by the same angle to the other side."""
+        """The bend by the same angle towards the opposite side."""
         return Bend(self.cosine, -self.sine)
 
     def turned(self, x: Array, y: Array) -> Point:
-        """A point of the right link in the frame of the bisector, whose y points to the muscle."""
+        """Return a point of the right link in the frame of the bisector (y towards the muscle)."""
         return x * self.cosine - y * self.sine, x * self.sine + y * self.cosine
 
 
 class JointGeometry(eqx.Module):
     """Coordinates of one muscle on one side of a joint (figs 7 and 8).
 
-    Each point is given in the frame of its link: the origin E is the centre of the joint, x runs
-    along the link away from it, y towards the muscle. The joint is symmetric, so a point stands
-    for its mirror image on the other link too.
+    Each point is given in the frame of its link. The origin E is the centre of the joint, x runs
+    along the link away from the joint, and y points towards the muscle. The joint is symmetric, so
+    each point also represents its mirror image on the other link.
 
-    The paper gives no coordinates. These were chosen so that the joint does what the paper says
-    of it: the anchors are 0.9 m out, almost a link (0.99 m), and just outside the balloon's
-    radius of 0.15 m; the balloon's shoulder lies on that radius, 0.055 m from the joint, so that
-    the shoulders of the two links meet at 40 deg, where the paper sees balloons interfere; the
-    muscle is a little longer than its path in the straight joint, so that it never has to
-    stretch; the wire is slack near the straight joint and on the whole outer side.
+    The paper gives no coordinates. The default values were chosen so that the joint behaves as the
+    paper describes:
+
+    - The anchors are 0.9 m from the joint, which is almost the length of a link (0.99 m), and just
+      outside the radius of the balloon, 0.15 m.
+    - The shoulder of the balloon lies on that radius, 0.055 m from the joint. The shoulders of the
+      two links therefore meet at 40 deg, where the balloons interfere according to the paper.
+    - The muscle is slightly longer than its path in the straight joint, so it never has to stretch.
+    - The wire is slack near the straight joint and on the whole outer side.
     """
 
     anchor_x: Scalar = parameter(GEOMETRY.anchor_x)
@@ -71,33 +74,33 @@ class JointGeometry(eqx.Module):
     muscle_length: Scalar = parameter(GEOMETRY.muscle_length)
 
     def anchor(self, bend: Bend) -> Point:
-        """C = N: the muscle's end on the right link, in the frame of the bisector, m."""
+        """Return C = N, the end of the muscle on the right link, in the bisector frame, m."""
         return bend.turned(self.anchor_x, self.anchor_y)
 
     def wire_end(self, bend: Bend) -> Point:
-        """D: the wire's end on the right link, in the frame of the bisector, m."""
+        """Return D, the end of the wire on the right link, in the frame of the bisector, m."""
         return bend.turned(self.wire_x, self.wire_y)
 
     def contact(self, bend: Bend) -> Point:
-        """Q: the balloon's shoulder on the right link, in the frame of the bisector, m."""
+        """Return Q, the shoulder of the balloon of the right link, in the bisector frame, m."""
         return bend.turned(self.contact_x, self.contact_y)
 
 
 def taut_bush_height(geometry: JointGeometry, bend: Bend) -> Array:
-    """H_y where the wire is taut (eq. 3): the outer root, m; NaN where there is none."""
+    """Return the outer root H_y for a taut wire (eq. 3), m; NaN if there is no root."""
     end_x, end_y = geometry.wire_end(bend)
     square = (geometry.wire_length / 2) ** 2 - end_x**2
-    # The inner `where` keeps the slope of the root finite where there is no root.
+    # The inner `where` keeps the derivative finite where there is no root.
     return end_y + jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1)), jnp.nan)
 
 
 def is_possible(
     geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"]
 ) -> Bool[Array, "*shape"]:
-    """Whether a muscle has a path at bending angles (rad); may be traced.
+    """Return whether a muscle has a path at bending angles (rad); this function can be traced.
 
-    A wire that is too short for the outer muscle does not matter here: the outer equations do not
-    know of it, and a fit may pass through such a joint. `check_geometry` refuses it.
+    A wire that is too short for the outer muscle is permitted here, because the outer equations do
+    not contain the wire, and a fit may pass through such a geometry. `check_geometry` rejects it.
     """
     possible = jnp.ones(angle.shape, bool)
     for bad, _ in _complaints(geometry, angle, inner=True):
@@ -108,13 +111,15 @@ def is_possible(
 
 
 def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) -> None:
-    """Refuse a geometry that has no path or no wire at some angle; nothing is checked in a trace.
+    """Check that muscle and wire can be built at all angles; traced geometries are not checked.
 
     Arguments:
+        geometry: geometry of the joint.
         angles: bending angles of the muscle to check, rad; by default -60 to 60 deg.
 
     Raises:
-        InputError: naming what is impossible, the angle, and what to change.
+        InputError: the geometry is impossible; the message gives the reason, the angle and what to
+            change.
     """
     if not is_concrete(geometry):
         return
@@ -133,7 +138,12 @@ def check_geometry(geometry: JointGeometry, angles: np.ndarray | None = None) ->
 
 
 def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[tuple[Array, str]]:
-    """What may be impossible on one side: where it is, and a sentence; of the outer wire first."""
+    """List the conditions that make the geometry impossible on one side.
+
+    Returns:
+        Pairs of a mask of the angles at which the condition holds, and the end of an error message.
+        On the outer side, the condition of the wire comes first.
+    """
     wire, bend = geometry.wire_length, Bend.by(angle)
     anchor_x, anchor_y = geometry.anchor(bend)
     contact_x, contact_y = geometry.contact(bend)
@@ -142,7 +152,7 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
         return [
             (
                 wire_x >= wire / 2,
-                "D_x is not less than half of L_wire, so that the wire cannot reach the bush: make "
+                "D_x is not less than half of L_wire, so the wire cannot reach the bush: make "
                 "wire_length larger or wire_x smaller",
             ),
             (
@@ -155,8 +165,7 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
         (
             2 * hypotenuse(wire_x, crossing - wire_y) > wire,
             "the wire does not reach around the outer muscle, although the wire must be slack "
-            "there: make "
-            "wire_length larger or contact_y smaller",
+            "there: make wire_length larger or contact_y smaller",
         ),
         (
             (contact_x <= 0) | (crossing <= 0),
@@ -173,29 +182,30 @@ def _complaints(geometry: JointGeometry, angle: Shaped, *, inner: bool) -> list[
 
 # Path of one muscle of a joint, on all four branches (eqs 2, 3, 7 and 8).
 #
-# The bending angle is that of the muscle: positive where the joint bends towards it, so that it
-# is the inner one, negative where it is the outer one. Everything is in the frame of the
-# bisector: the origin E is the joint's centre, y points to the muscle, and the right half stands
-# for both. (Fig. 8 draws the outer muscle on -y, hence the signs of eqs 10 and 11 and its tests
-# on N_y.)
+# The bending angle is that of the muscle. It is positive if the joint bends towards the muscle,
+# which is then the inner muscle, and negative if it is the outer muscle. All coordinates are in the
+# frame of the bisector: the origin E is the centre of the joint, y points to the muscle, and the
+# right half represents both halves. (Fig. 8 draws the outer muscle on the negative y side, which
+# explains the signs in eqs 10 and 11 and their conditions on N_y.)
 #
-# - inner, taut: A-H-C with the bush H held by the wire B-H-D (eqs 2 to 5);
-# - inner, slack: straight from A to C (eq. 6), the wire hangs;
+# - inner, taut: A-H-C; the wire B-H-D holds the bush H (eqs 2 to 5);
+# - inner, slack: straight from A to C (eq. 6); the wire is slack;
 # - outer, straight: M-O-N (eqs 8 and 11);
-# - outer, wrapped: M-P-O-Q-N around the balloon's shoulders (eqs 7, 9 and 10).
+# - outer, wrapped: M-P-O-Q-N around the shoulders of the balloons (eqs 7, 9 and 10).
 
 BRANCHES = ("inner, wire taut", "inner, wire slack", "outer, straight", "outer, wrapped")
 
 
 class MusclePath(eqx.Module):
-    """Path of a muscle; arrays of one shape, that of the angles.
+    """Path of a muscle. All arrays have the shape of the angles.
 
     Attributes:
         inner: whether the muscle is the inner one.
-        engaged: whether the wire is taut (inner) or the muscle wraps the balloon (outer).
-        half_length: half the length of the path, m.
-        height: y of the bush H or O, on the bisector, m.
-        wire_slack: L_wire less the length that the wire spans, m; 0 where it is taut.
+        engaged: whether the wire is taut (inner muscle) or the muscle wraps around the balloon
+            (outer muscle).
+        half_length: half of the length of the path, m.
+        height: y coordinate of the bush H or of the point O, on the bisector, m.
+        wire_slack: L_wire minus the length that the wire spans, m; 0 if the wire is taut.
     """
 
     inner: Bool[Array, "*shape"]
@@ -213,9 +223,13 @@ class MusclePath(eqx.Module):
 def muscle_path(
     geometry: JointGeometry, angle: Shaped, inner: Bool[Array, "*shape"] | None = None
 ) -> MusclePath:
-    """Path of a muscle at bending angles (rad; eqs 2, 3, 7, 8): geometry only, no force.
+    """Return the path of a muscle at bending angles, without forces (eqs 2, 3, 7 and 8).
 
-    `inner` is the side, which matters at 0 only; by default a muscle at 0 is the inner one.
+    Arguments:
+        geometry: geometry of the joint.
+        angle: bending angles of the muscle, rad.
+        inner: whether the muscle is the inner one, which is needed only at an angle of 0; by
+            default a muscle at 0 is the inner one.
     """
     inner = angle >= 0 if inner is None else inner
     sides = (
@@ -226,17 +240,17 @@ def muscle_path(
 
 
 def inner_bend(angle: Shaped, inner: Bool[Array, "*shape"]) -> Bend:
-    """The bend of an inner muscle; 0, where its path always exists, for an outer one."""
+    """Return the bend of an inner muscle; for an outer muscle 0, where the path always exists."""
     return Bend.by(jnp.where(inner, angle, 0))
 
 
 def outer_bend(angle: Shaped, inner: Bool[Array, "*shape"]) -> Bend:
-    """The bend of an outer muscle; 0, where its path always exists, for an inner one."""
+    """Return the bend of an outer muscle; for an inner muscle 0, where the path always exists."""
     return Bend.by(jnp.where(inner, 0, angle))
 
 
 def inner_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
-    """Path of the inner muscle: over the bush where its wire is taut, else straight."""
+    """Return the path of an inner muscle: over the bush if the wire is taut, otherwise straight."""
     anchor_x, anchor_y = geometry.anchor(bend)
     end_x, end_y = geometry.wire_end(bend)
     held = taut_bush_height(geometry, bend)
@@ -253,12 +267,12 @@ def inner_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
 
 
 def outer_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
-    """Path of the outer muscle: around the balloon's shoulders where it has to, else straight."""
+    """Return the path of an outer muscle: straight, or around the shoulders of the balloons."""
     anchor_x, anchor_y = geometry.anchor(bend)
     end_x, end_y = geometry.wire_end(bend)
     contact_x, contact_y = geometry.contact(bend)
     wrapped = anchor_y < contact_y
-    # Where the muscle crosses the bisector.
+    # Height at which the muscle crosses the bisector.
     height = larger(anchor_y, contact_y)
     bent = contact_x + hypotenuse(anchor_x - contact_x, anchor_y - height)
     return MusclePath(
@@ -271,11 +285,11 @@ def outer_path(geometry: JointGeometry, bend: Bend) -> MusclePath:
 
 
 def branch_angles(geometry: JointGeometry) -> tuple[float, float]:
-    """Angles at which the inner wire becomes taut and the outer muscle begins to wrap, rad.
+    """Return the angles at which the wire becomes taut and the outer muscle starts to wrap, rad.
 
-    The second is in closed form, tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the
-    link; the first is a root of C_y = H_y, by bisection. 0 where a muscle is on its branch at
-    every angle of that side, and NaN where a branch is not reached within 90 deg.
+    The first angle is a root of C_y = H_y, found by bisection. The second angle is in closed form,
+    tan(angle / 2) = -(N_y - Q_y) / (N_x - Q_x) in the frame of the link. An angle is 0 if the
+    branch applies to all angles of its side, and NaN if the branch is not reached within 90 deg.
     """
     taut, wrap = _branch_angles(geometry)
     return float(taut), float(wrap)

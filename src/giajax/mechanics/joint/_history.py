@@ -1,4 +1,4 @@
-"""Angles at which a joint rests while its pressures change slowly: where it stays, and jumps."""
+"""Quasi-static rest angles of a joint under slowly changing pressures, including jumps."""
 
 import jax
 import jax.numpy as jnp
@@ -14,23 +14,24 @@ def slow_history(
     friction: Scalar,
     start: Scalar,
 ) -> Float[Array, " step"]:
-    """Angle at which a joint rests after each of many slow steps, rad.
+    """Return the angle at which a joint rests after each of several slow steps, rad.
 
-    A joint goes the way that its torque drives it, to the next angle at which dry friction holds
-    it, or to an end of its range. What it rests at depends on where it came from: it stays at an
-    equilibrium until there is none, and jumps then. Between two angles torques are linear.
+    The joint moves in the direction of its torque to the next angle at which dry friction holds it,
+    or to an end of its range. The rest angle depends on the previous one: the joint remains at an
+    equilibrium until this equilibrium vanishes, and then jumps. The torque is interpolated linearly
+    between two angles.
 
     Arguments:
-        torques: of each step at these angles, N m, towards positive angles.
-        angles: increasing, from the one end of its range to the other, rad.
-        friction: torque up to which dry friction holds the joint, N m.
+        torques: torque towards positive angles in each step at each of the angles, N m.
+        angles: increasing angles from one end of the range of the joint to the other, rad.
+        friction: largest torque that dry friction holds, N m.
         start: angle before the first step, rad.
     """
 
     def step(angle: Scalar, torque: Float[Array, " angle"]) -> tuple[Scalar, Scalar]:
         here = jnp.interp(angle, angles, torque)
         ahead = _next(torque - friction, angles, angle, here - friction)
-        # The way back is the way ahead of what is turned round.
+        # A motion towards negative angles is a motion towards positive angles of the mirror image.
         back = -_next(-torque[::-1] - friction, -angles[::-1], -angle, -here - friction)
         rest = jnp.where(here > friction, ahead, jnp.where(here < -friction, back, angle))
         return rest, rest
@@ -41,7 +42,14 @@ def slow_history(
 def _next(
     drive: Float[Array, " angle"], angles: Float[Array, " angle"], angle: Scalar, here: Scalar
 ) -> Scalar:
-    """The first angle from one on at which nothing drives a joint on any longer."""
+    """Return the first angle after a given one at which the driving torque vanishes.
+
+    Arguments:
+        drive: torque minus friction at each of the angles, N m.
+        angles: increasing angles, rad.
+        angle: current angle, rad.
+        here: torque minus friction at the current angle, N m.
+    """
     stops: Bool[Array, " angle"] = (drive <= 0) & (angles > angle)
     at = jnp.argmax(stops)
     before = jnp.where(angles[at - 1] > angle, angles[at - 1], angle)

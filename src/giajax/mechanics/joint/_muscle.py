@@ -1,4 +1,4 @@
-"""Laws of muscles: force from pressure and contraction, and the inverse."""
+"""Muscle laws: force as a function of pressure and contraction, and the inverse."""
 
 import abc
 from typing import ClassVar
@@ -30,14 +30,15 @@ _MEANING = {
 
 
 class PressureAnswer(eqx.Module):
-    """Pressure for a force; arrays of one shape.
+    """Pressure that produces a required force. All arrays have the same shape.
 
     Attributes:
-        pressure: within 0 and the muscle's limit, Pa. Where the force is out of reach, the
-            pressure that comes nearest to it.
-        force: what the muscle pulls with at that pressure, N.
-        code: 0 reached, 1 the muscle would have to push, 2 more than the pressure limit, 3 it
-            does not shorten so far at any pressure, 4 it has more force without any pressure.
+        pressure: pressure between 0 and the limit of the muscle, Pa; if the force is out of reach,
+            the pressure whose force is nearest to it.
+        force: force of the muscle at this pressure, N.
+        code: 0: the force is reached; 1: the muscle would have to push; 2: the required pressure
+            exceeds the limit; 3: the muscle does not contract this far at any pressure; 4: the
+            force of the muscle is larger even at zero pressure.
     """
 
     pressure: Shaped
@@ -46,62 +47,64 @@ class PressureAnswer(eqx.Module):
 
     @property
     def reached(self) -> Bool[Array, "*shape"]:
-        """Whether the force is what was asked for."""
+        """Whether the muscle produces the required force."""
         return self.code == REACHED
 
     def message(self, index: int | tuple[int, ...] = ()) -> str:
-        """What the code of one element means, and what to do."""
+        """Return the meaning of the code of one element, and what to do."""
         return _MEANING[int(self.code[index])]
 
 
 PressureAndGain = tuple[Shaped, Shaped]
-"""Pressure for a force, Pa, and the force gained per pascal, N/Pa."""
+"""Pressure (Pa) for a force, and the derivative of the force with respect to pressure (N/Pa)."""
 
-_NO_FORCE = 1e-9  # below this (N) a force is the rounding of zero, not a push
+_NO_FORCE = 1e-9  # N; a smaller negative force is a rounding error of zero
 
 
 class AbstractMuscle(eqx.Module):
-    """A muscle, or another actuator, by its statics without friction.
+    """Statics of a muscle or another actuator without friction.
 
-    Its methods take pressures above the surroundings (Pa), forces (N), contractions relative to the
-    length at rest, and that length (m).
+    Its methods take gauge pressures (Pa), forces (N), contractions relative to the rest length, and
+    the rest length (m).
     """
 
     name: ClassVar[str]
     own_motion: ClassVar[int]
-    """Sign of the recorded displacement in which it moves by itself: +1 where it shortens."""
+    """Sign of the recorded displacement that its own force causes: +1 where it shortens."""
     pushes: ClassVar[bool]
-    """Whether its force may be negative; else it is slack beyond its reach."""
+    """Whether its force may be negative. Otherwise it is slack beyond its reach."""
     pressure_limit: eqx.AbstractVar[Scalar]
     """Highest pressure, Pa."""
 
     @abc.abstractmethod
     def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
-        """Force by the law alone, N; negative beyond its reach."""
+        """Return the force according to the law, N; negative where a slack muscle has no force."""
 
     @abc.abstractmethod
     def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
-        """Pressure that the law says for a force >= 0, Pa, and the force gained per pascal.
+        """Return the pressure for a force >= 0 according to the law, Pa, and the gain, N/Pa.
 
-        Where nothing is gained there is no such pressure, and its value means nothing.
+        The gain is the derivative of the force with respect to the pressure. If it is not positive,
+        no such pressure exists, and the returned pressure has no meaning.
         """
 
     def force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
-        """Force, N: that of the law, or 0 where the actuator is slack."""
+        """Return the force, N: that of the law, or 0 if the actuator is slack."""
         force = self.signed_force(pressure, contraction, length)
         return force if self.pushes else larger(force, 0)
 
     def answer(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAnswer:
-        """Pressure for a force at a contraction, or the nearest one, and why the force is out of
-        reach.
+        """Return the pressure for a force at a contraction, or the pressure nearest to it.
 
-        Nothing is checked.
+        The code of the answer gives the reason if the force is out of reach. The arguments are not
+        checked.
         """
         needed, gain = self.pressure_for(larger(force, 0), contraction, length)
         able = gain > 0
         pressure = jnp.where(able, limited(needed, 0, self.pressure_limit), self.pressure_limit)
         push, nothing = force < -_NO_FORCE, ~able & (force <= _NO_FORCE)
-        # Where the muscle cannot pull, it has no force without pressure.
+        # Zero pressure gives the force that is nearest to a push, or to zero where the muscle
+        # cannot pull.
         pressure = jnp.where(push | nothing, 0, pressure)
         code = jnp.select(
             [push, nothing, ~able, needed > self.pressure_limit, needed * gain < -_NO_FORCE],
@@ -114,15 +117,17 @@ class AbstractMuscle(eqx.Module):
 class Friction(eqx.Module):
     """Coulomb friction whose half-width depends on the pressure.
 
-    Where the motion is recorded, friction is a stop operator of the displacement: after the
-    motion turns back, the force runs linearly from one side of the loop to the other within
-    twice `presliding`. A sign of the velocity would jump there with every flicker of noise, and
-    would have no derivative.
+    If the motion is recorded, friction is a stop operator of the displacement. After a reversal,
+    the force changes linearly from one side of the loop to the other over a distance of twice
+    `presliding`. The sign of the velocity would not be suitable, because it changes with the noise
+    and is not differentiable.
 
     Arguments:
-        half_width: half of the force between the two directions at `pressures`, N.
+        half_width: half of the force difference between the two directions at each of `pressures`,
+            N.
         presliding: displacement from rest to full friction, m.
-        pressures: increasing, Pa; between them half-widths are linear, beyond them constant.
+        pressures: increasing pressures, Pa; half-widths are interpolated linearly between them and
+            constant beyond them.
     """
 
     half_width: Float[Array, " node"] = parameter(FRICTION.half_width)
@@ -132,12 +137,12 @@ class Friction(eqx.Module):
     def __check_init__(self) -> None:
         if np.any(np.diff(self.pressures) <= 0) or not self.pressures:
             raise InputError(
-                "the pressures of friction do not increase: sort them, and give each pressure once"
+                "the friction pressures do not increase: sort them, and give each pressure once"
             )
 
     @classmethod
     def at_pressures(cls, pressures: tuple[float, ...]) -> "Friction":
-        """The default friction, with one half-width for each pressure (Pa)."""
+        """Create the default friction with one half-width for each pressure (Pa)."""
         default = cls()
         return cls(
             half_width=jnp.full(len(pressures), default.half_width),
@@ -146,31 +151,37 @@ class Friction(eqx.Module):
         )
 
     def width(self, pressure: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """Half-width at pressures (Pa), N."""
+        """Return the half-width at pressures (Pa), N."""
         nodes = jnp.asarray(self.pressures, dtype=pressure.dtype)
         return jnp.interp(pressure, nodes, self.half_width)
 
     def engagement(self, displacement: Float[Array, " sample"]) -> Float[Array, " sample"]:
-        """Share of the friction that resists a history of displacements (m), from -1 to 1.
+        """Return the fraction of the friction that acts at each sample, from -1 to 1.
 
-        +1 where the displacement grows; the first sample is at rest.
+        The fraction is +1 after a long increase in the displacement. The first sample is at rest.
+
+        Arguments:
+            displacement: history of displacements, m.
         """
         thresholds = jnp.atleast_1d(self.presliding)
         return stop(displacement - displacement[0], thresholds)[:, 0] / self.presliding
 
 
 class BraidedMuscle(AbstractMuscle):
-    """F = eta (p - p_0) A [a (1 - k epsilon)^2 - b], a = 3 / tan^2(theta), b = 1 / sin^2(theta).
+    """Law of a braided (McKibben) muscle.
 
-    A is the cross-section and theta the braid angle (from the axis) at rest. The ideal law
-    (eta = k = 1, p_0 = 0) is virtual work of the gas in a cylinder of inextensible threads. Thin
-    muscles of 18 deg contract by 20 to 25 % where it says 39 %: their ends do not widen, and the
-    tube takes part of the pressure. k, the end correction, shortens the contraction (k = 1.6
-    gives 24.6 %); p_0 is the dead band in which the tube does not yet press on the braid; eta,
-    the effectiveness, covers what is left. Force alone does not separate A from eta.
+    F = eta (p - p_0) A [a (1 - k epsilon)^2 - b], a = 3 / tan^2(theta), b = 1 / sin^2(theta).
 
-    Chou, Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90; Tondu, Lopez, IEEE Control
-    Systems 20 (2000) 15.
+    A is the cross-section and theta the braid angle (measured from the axis) at rest. The ideal law
+    (eta = k = 1, p_0 = 0) follows from the virtual work of the gas in a cylinder of inextensible
+    threads. It predicts a contraction of 39 % for thin muscles with a braid angle of 18 deg, but
+    they contract by 20 to 25 %, because their ends do not widen and the tube bears a part of the
+    pressure. The end correction k decreases the contraction (k = 1.6 gives 24.6 %). Within the dead
+    band p_0, the tube does not yet press on the braid. The effectiveness eta accounts for the
+    remaining deviations. From the force alone, A and eta cannot be separated.
+
+    References: Chou, Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90; Tondu, Lopez,
+    IEEE Control Systems 20 (2000) 15.
     """
 
     name: ClassVar[str] = "braided"
@@ -186,40 +197,42 @@ class BraidedMuscle(AbstractMuscle):
 
     @property
     def largest_contraction(self) -> Float[Array, ""]:
-        """Contraction at which the force vanishes at any pressure."""
+        """Contraction at which the force is 0 at any pressure."""
         return (1 - 1 / (jnp.sqrt(3.0) * jnp.cos(self.braid_angle))) / self.end_correction
 
     def _per_pascal(self, contraction: Shaped) -> Shaped:
         area = jnp.pi / 4 * self.diameter**2
-        # A muscle that k has used up does not pull again: the square must not grow on.
+        # Beyond k epsilon = 1, the square would increase again, but the muscle must not pull.
         left = larger(1 - self.end_correction * contraction, 0)
         shrunk = 3 / jnp.tan(self.braid_angle) ** 2 * left**2
         return self.effectiveness * area * (shrunk - 1 / jnp.sin(self.braid_angle) ** 2)
 
     def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
-        """Force by the law, N."""
+        """Return the force according to the law, N."""
         return larger(pressure - self.dead_band, 0) * self._per_pascal(contraction)
 
     def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
-        """Pressure for a force, Pa, and the force per pascal."""
+        """Return the pressure for a force, Pa, and the gain, N/Pa."""
         gain = self._per_pascal(contraction)
         return self.dead_band + force / jnp.where(gain > 0, gain, 1), gain
 
 
 class EmpiricalMuscle(AbstractMuscle):
-    """F = F_max(L) f(e, q), e = epsilon / contraction_limit, q = p / pressure_limit.
+    """Empirical law of a muscle.
 
-    F_max(L) = force_limit (2 / pi) atan((L - end_length) / length_scale) grows with the length L
-    of the muscle at rest, because the ends do not pull, and saturates. The shape
+    F = F_max(L) f(e, q), e = epsilon / contraction_limit, q = p / pressure_limit.
+
+    F_max(L) = force_limit (2 / pi) atan((L - end_length) / length_scale) increases with the rest
+    length L of the muscle, because the ends do not pull, and saturates. The shape function
 
         f(e, q) = q exp(-(bell e)^2) - exp(-bell^2) (1 - exp(-decay e)) / (1 - exp(-decay))
 
-    is a passive part that does not depend on the pressure and an active part that is
-    proportional to it. By construction f(0, 1) = 1 and f(1, 1) = 0: at the pressure limit the
-    muscle pulls with F_max at rest and contracts by contraction_limit without a load.
+    consists of an active part that is proportional to the pressure and a passive part that does not
+    depend on it. By construction, f(0, 1) = 1 and f(1, 1) = 0: at the pressure limit, the muscle
+    pulls with F_max at its rest length and contracts by contraction_limit without a load.
 
-    After Hunt, Graber-Tilton, Quinn, "Modeling length effects of braided pneumatic actuators",
-    ASME IDETC 2017, with the coefficients of the shape tied by f(1, 1) = 0.
+    The law follows Hunt, Graber-Tilton, Quinn, "Modeling length effects of braided pneumatic
+    actuators", ASME IDETC 2017, but the condition f(1, 1) = 0 ties the coefficients of the shape.
     """
 
     name: ClassVar[str] = "empirical"
@@ -235,7 +248,7 @@ class EmpiricalMuscle(AbstractMuscle):
     pressure_limit: Scalar = parameter(EMPIRICAL.pressure_limit)
 
     def largest_force(self, length: Scalar) -> Scalar:
-        """F_max of a muscle of this length at rest (m), N."""
+        """Return F_max of a muscle with this rest length (m), N."""
         reach = larger(length - self.end_length, 0) / self.length_scale
         return self.force_limit * (2 / jnp.pi) * jnp.arctan(reach)
 
@@ -244,13 +257,13 @@ class EmpiricalMuscle(AbstractMuscle):
         return jnp.exp(-(self.bell**2)) * rise
 
     def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
-        """Force by the law, N; 0 or less without pressure."""
+        """Return the force according to the law, N; 0 or negative without pressure."""
         strain = contraction / self.contraction_limit
         active = pressure / self.pressure_limit * jnp.exp(-((self.bell * strain) ** 2))
         return self.largest_force(length) * (active - self._passive(strain))
 
     def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
-        """Pressure for a force, Pa, and the force per pascal."""
+        """Return the pressure for a force, Pa, and the gain, N/Pa."""
         strain = contraction / self.contraction_limit
         largest = self.largest_force(length)
         gain = largest * jnp.exp(-((self.bell * strain) ** 2)) / self.pressure_limit
@@ -259,10 +272,10 @@ class EmpiricalMuscle(AbstractMuscle):
 
 
 class Piston(AbstractMuscle):
-    """F = p A + offset, A = pi bore^2 / 4.
+    """Law of a piston: F = p A + offset, A = pi bore^2 / 4.
 
-    Its force pushes outwards, and is of either sign, as a load cell shows it; its recorded position
-    grows where it is pressed in.
+    The force pushes outwards and can have either sign, as a load cell records it. The recorded
+    position increases when the piston is pushed in.
     """
 
     name: ClassVar[str] = "piston"
@@ -279,18 +292,18 @@ class Piston(AbstractMuscle):
         return jnp.pi / 4 * self.bore**2
 
     def signed_force(self, pressure: Shaped, contraction: Shaped, length: Scalar) -> Shaped:
-        """Force by the law, N."""
+        """Return the force according to the law, N."""
         return pressure * self.area + self.offset
 
     def pressure_for(self, force: Shaped, contraction: Shaped, length: Scalar) -> PressureAndGain:
-        """Pressure for a force, Pa, and the force per pascal."""
+        """Return the pressure for a force, Pa, and the gain, N/Pa."""
         return (force - self.offset) / self.area, jnp.broadcast_to(self.area, force.shape)
 
 
 MUSCLE_LAWS: dict[str, type[BraidedMuscle | EmpiricalMuscle | Piston]] = {
     law.name: law for law in (BraidedMuscle, EmpiricalMuscle, Piston)
 }
-"""The laws by the name that files give them."""
+"""Muscle laws by their names in files."""
 
 
 def muscle_force(
@@ -299,16 +312,16 @@ def muscle_force(
     contraction: npt.ArrayLike | Array,
     length: npt.ArrayLike | Array = 1.96,
 ) -> Shaped:
-    """Force of a muscle without friction, N; 0 where it is slack.
+    """Return the force of a muscle without friction, N; 0 if the muscle is slack.
 
     Arguments:
-        pressure: above the surroundings, Pa, of any shape.
-        contraction: relative to the length at rest, of the same shape or one number.
-        length: of the muscle at rest, m.
+        muscle: law of the muscle.
+        pressure: gauge pressure, Pa, of any shape.
+        contraction: contraction relative to the rest length, of the same shape or one number.
+        length: rest length of the muscle, m.
 
     Raises:
-        InputError: a number that is not finite, a negative pressure, or a contraction of 1 or
-            more.
+        InputError: a number is not finite, a pressure is negative, or a contraction is 1 or more.
 
     Example:
         >>> from giajax.mechanics.joint import BraidedMuscle, muscle_force
@@ -326,15 +339,16 @@ def muscle_pressure(
     contraction: npt.ArrayLike | Array,
     length: npt.ArrayLike | Array = 1.96,
 ) -> PressureAnswer:
-    """Pressure at which a muscle pulls with a force at a contraction, in closed form.
+    """Return the pressure at which a muscle has a force at a contraction, in closed form.
 
     Arguments:
-        force: to be reached, N, of any shape.
-        contraction: relative to the length at rest, of the same shape or one number.
-        length: of the muscle at rest, m.
+        muscle: law of the muscle.
+        force: required force, N, of any shape.
+        contraction: contraction relative to the rest length, of the same shape or one number.
+        length: rest length of the muscle, m.
 
     Raises:
-        InputError: a number that is not finite, or a contraction of 1 or more.
+        InputError: a number is not finite, or a contraction is 1 or more.
 
     Example:
         >>> from giajax.mechanics.joint import BraidedMuscle, muscle_pressure
@@ -357,7 +371,7 @@ def _arrays(
     if length.ndim or (first.ndim and contraction.ndim and first.shape != contraction.shape):
         raise InputError(
             f"values have the shapes {first.shape}, {contraction.shape} and {length.shape}: give "
-            f"arrays of the same shape, or single numbers, and one length"
+            "arrays of the same shape, or single numbers, and one length"
         )
     shape = first.shape or contraction.shape
     return jnp.broadcast_to(first, shape), jnp.broadcast_to(contraction, shape), length
@@ -372,10 +386,10 @@ def _check(contraction: Array, length: Array, **others: Array) -> None:
     if bool(jnp.any(contraction >= 1)):
         raise InputError(
             f"a contraction is {float(jnp.max(contraction)):g}, but must be less than 1: give the "
-            f"contraction as a fraction of the length at rest, not in percent"
+            "contraction as a fraction of the length at rest, not in percent"
         )
     if "pressure" in others and bool(jnp.any(others["pressure"] < 0)):
         raise InputError(
             f"a pressure is {float(jnp.min(others['pressure'])):g} Pa: give the gauge pressure, "
-            f"which is at least 0"
+            "which is at least 0"
         )

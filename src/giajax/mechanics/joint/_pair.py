@@ -1,4 +1,4 @@
-"""The bending-angle controller (fig. 6): two muscles against each other, and their pressures."""
+"""The bending-angle controller (fig. 6): two antagonistic muscles and their pressures."""
 
 import functools
 from typing import NamedTuple
@@ -28,15 +28,15 @@ from ._statics import (
 
 
 class JointPair(eqx.Module):
-    """A joint with two equal muscles on opposite sides, and no friction.
+    """A joint with two equal muscles on opposite sides, without friction.
 
-    The angle of the pair is positive where the joint bends towards the first muscle, which is
-    then the inner one.
+    The angle of the pair is positive if the joint bends towards the first muscle, which is then the
+    inner muscle.
 
     Arguments:
-        joint: geometry and corrections, of either side.
-        muscle: the law of both muscles.
-        neck: of film between the links, which is bent and pressed together; none by default.
+        joint: geometry and corrections, the same on both sides.
+        muscle: law of both muscles.
+        neck: neck of film between the links, which bends and is compressed; none by default.
     """
 
     joint: Joint = eqx.field(default_factory=Joint)
@@ -50,13 +50,14 @@ class JointPair(eqx.Module):
 
 
 class PairCommand(eqx.Module):
-    """What holds the joint at an angle.
+    """Muscle states and pressures that hold the joint at an angle.
 
     Attributes:
-        angle: of the pair, rad, any shape.
-        first, second: states of the muscle towards which a positive angle bends, and of the
-            other one.
-        first_pressure, second_pressure: their pressures, and whether they give these forces.
+        angle: angle of the pair, rad, any shape.
+        first, second: states of the first and the second muscle; a positive angle bends the joint
+            towards the first muscle.
+        first_pressure, second_pressure: pressures of the two muscles, and whether they produce
+            the required forces.
     """
 
     angle: Shaped
@@ -67,13 +68,13 @@ class PairCommand(eqx.Module):
 
     @property
     def pressures(self) -> Float[Array, "*shape 2"]:
-        """Both pressures along a last axis, Pa."""
+        """Both pressures, stacked along the last axis, Pa."""
         both = (self.first_pressure.pressure, self.second_pressure.pressure)
         return jnp.stack(both, axis=-1)
 
     @property
     def reached(self) -> Array:
-        """Whether both muscles can do what they must."""
+        """Whether both muscles can produce the required forces."""
         return self.first_pressure.reached & self.second_pressure.reached
 
 
@@ -83,20 +84,23 @@ def pair_command(
     load: npt.ArrayLike | Array = 0.0,
     cocontraction: npt.ArrayLike | Array | None = None,
 ) -> PairCommand:
-    """Pressures that hold a pair at an angle against a load (fig. 6).
+    """Return the pressures that hold a pair at an angle against a load (fig. 6).
 
-    The inner muscle balances the co-contraction torque, alpha and what of the load acts against the
-    bending; the outer one the co-contraction torque and beta. Where no pressure gives a force, its
-    answer says why. It is the controller of the paper, which knows of no neck.
+    The inner muscle balances the co-contraction torque, alpha and the load, which is positive if it
+    acts against the bending. The outer muscle balances the co-contraction torque and beta. If no
+    pressure produces a required force, the corresponding `PressureAnswer` gives the reason. This is
+    the controller of the paper, which does not take a neck into account.
 
     Arguments:
-        angle: to be held, rad, any shape, within -60 to 60 deg.
-        load: torque from outside, towards negative angles, N m, one number or one an angle.
-        cocontraction: torque of each muscle against the other, N m; the joint's 0.3 by default.
+        pair: the joint with its muscles.
+        angle: angle to be held, rad, any shape, within -60 to 60 deg.
+        load: external torque towards negative angles, N m; one number, or one for each angle.
+        cocontraction: torque of each muscle against the other, N m; by default the torque of the
+            joint (0.3 N m).
 
     Raises:
-        InputError: an angle beyond 60 deg, a number that is not finite, or an impossible
-            geometry.
+        InputError: an angle is beyond 60 deg, a number is not finite, or the geometry is
+            impossible.
 
     Example:
         >>> import numpy as np
@@ -116,7 +120,7 @@ def pair_command(
             worst = float(jnp.rad2deg(angle.ravel()[jnp.argmin(inside)]))
             raise InputError(
                 f"the angle is {worst:.4g} deg, but a joint bends by at most 60 deg: give a "
-                f"smaller angle, in radians"
+                "smaller angle, in radians"
             )
         if not bool(jnp.all(jnp.isfinite(load) & jnp.isfinite(torque))):
             raise InputError("a load or co-contraction torque is not finite: give finite numbers")
@@ -126,16 +130,17 @@ def pair_command(
 
 
 def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> PairCommand:
-    """What holds a pair at an angle, as `pair_command` does; nothing is checked.
+    """Return the command of `pair_command` without checking the arguments.
 
     Arguments:
-        angle: to be held, rad.
-        load: torque from outside, towards negative angles, N m, of the same shape.
+        pair: the joint with its muscles.
+        angle: angle to be held, rad.
+        load: external torque towards negative angles, N m, of the same shape.
         torque: co-contraction torque, N m, of the same shape.
     """
     ahead, joint = angle >= 0, pair.joint
     size = jnp.where(ahead, angle, -angle)
-    resisted = jnp.where(ahead, load, -load)  # what of the load acts against the bending
+    resisted = jnp.where(ahead, load, -load)  # load that acts against the bending
 
     def answered(
         unit: Tension, angle: Shaped, torque: Shaped, inner: Array
@@ -146,7 +151,7 @@ def commanded(pair: JointPair, angle: Array, load: Array, torque: Array) -> Pair
     bend, yes = Bend.by(size), jnp.ones_like(ahead)
     inner = answered(inner_tension(joint.geometry, bend), size, torque + resisted, yes)
     outer = answered(outer_tension(joint.geometry, bend.back), -size, torque, ~yes)
-    # The first muscle is the inner one where the joint bends towards it.
+    # The first muscle is the inner one if the joint bends towards it.
     choose = functools.partial(jnp.where, ahead)
     first, second = jax.tree.map(choose, inner, outer), jax.tree.map(choose, outer, inner)
     return PairCommand(angle, first[0], second[0], first[1], second[1])
@@ -162,17 +167,18 @@ def net_torque(
     angle: Shaped,
     ahead: Array,
 ) -> Shaped:
-    """Torque towards positive angles that two pressures leave over, N m: 0 in equilibrium.
+    """Return the net torque towards positive angles at two pressures, N m; 0 in equilibrium.
 
-    The corrections resist the bending: alpha - beta, towards 0, whichever side is bent to; and so
-    does the neck, where there is one.
+    The corrections resist bending towards either side with alpha - beta, towards 0. The neck, if
+    there is one, resists bending as well.
 
     Arguments:
-        pressures: of the first and the second muscle, Pa, the same at all angles or each with a
-            last axis for each of theirs.
-        load: torque from outside, towards negative angles, N m.
-        angle: of the pair, rad.
-        ahead: whether the first muscle is the inner one; what decides at 0.
+        pair: the joint with its muscles.
+        pressures: pressures of the first and the second muscle, Pa; shape (2,) if they are the same
+            at all angles, otherwise with further axes that correspond to those of the angles.
+        load: external torque towards negative angles, N m.
+        angle: angle of the pair, rad.
+        ahead: whether the first muscle is the inner one; needed at an angle of 0.
     """
     first, second = muscle_torques(pair, pressures, angle, ahead)
     torque = first - second - resistance(pair.joint.correction, angle, ahead) - load
@@ -184,7 +190,10 @@ def net_torque(
 def muscle_torques(
     pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> Float[Array, "2 *shape"]:
-    """Torque of each muscle of a pair towards its own side, N m; arguments as of `net_torque`."""
+    """Return the torque of each muscle of a pair towards its own side, N m.
+
+    The arguments are those of `net_torque`.
+    """
     inner, outer = (pull.force * pull.lever for pull in _pulls(pair, pressures, angle, ahead))
     return jnp.stack([jnp.where(ahead, inner, outer), jnp.where(ahead, outer, inner)])
 
@@ -192,17 +201,24 @@ def muscle_torques(
 def compression(
     pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> Shaped:
-    """Force with which both muscles press the links of a joint together, N.
+    """Return the force with which both muscles press the links of a joint together, N.
 
-    On the bisector a muscle, with its wire, is a force along the links at the height where it
-    crosses it: its torque over that height. Arguments as of `net_torque`.
+    On the bisector, a muscle with its wire exerts a force along the links at the height at which it
+    crosses the bisector. This force is the torque of the muscle divided by the height. The
+    arguments are those of `net_torque`.
     """
     inner, outer = _pulls(pair, pressures, angle, ahead)
     return inner.force * inner.lever / inner.height + outer.force * outer.lever / outer.height
 
 
 class _Pull(NamedTuple):
-    """Tension of a muscle, N, its lever about the joint, and its height on the bisector, m."""
+    """Force and geometry of a muscle.
+
+    Attributes:
+        force: tension of the muscle, N.
+        lever: lever arm about the centre of the joint, m.
+        height: height at which the muscle crosses the bisector, m.
+    """
 
     force: Shaped
     lever: Shaped
@@ -212,8 +228,8 @@ class _Pull(NamedTuple):
 def _pulls(
     pair: JointPair, pressures: Float[Array, "2 ..."], angle: Shaped, ahead: Array
 ) -> tuple[_Pull, _Pull]:
-    """Of the inner and of the outer muscle."""
-    # One of both is the inner muscle: each side is worked out once, for whichever it is.
+    """Return the pulls of the inner and of the outer muscle."""
+    # One of the two muscles is the inner one. Each side is computed once, for the muscle on it.
     bend = Bend.by(jnp.where(ahead, angle, -angle))
     pressure = pressures.reshape(pressures.shape + (1,) * (angle.ndim + 1 - pressures.ndim))
     first, second = jnp.broadcast_to(pressure, (2, *angle.shape))
@@ -230,8 +246,13 @@ def _pull(pair: JointPair, pressure: Shaped, unit: Tension) -> _Pull:
 
 
 class OneSide(NamedTuple):
-    """A pair at two pressures (Pa) and a load (N m), and the side of 0 on which it is looked at:
-    `ahead` where it is that of positive angles, which counts at 0.
+    """A pair at given pressures and load, on one side of 0.
+
+    Attributes:
+        pair: the joint with its muscles.
+        pressures: pressures of the first and the second muscle, Pa.
+        load: external torque towards negative angles, N m.
+        ahead: whether the side is that of positive angles; needed at an angle of 0.
     """
 
     pair: JointPair
@@ -241,46 +262,49 @@ class OneSide(NamedTuple):
 
 
 def side_torque(angle: Shaped, side: OneSide) -> Shaped:
-    """Torque on the joint at angles (rad) of one side, N m."""
+    """Return the torque on the joint at angles (rad) of one side, N m."""
     ahead = jnp.broadcast_to(side.ahead, angle.shape)
     return net_torque(side.pair, side.pressures, side.load, angle, ahead)
 
 
 def side_slope(angle: Shaped, side: OneSide) -> Shaped:
-    """Slope of the torque over the angle, N m/rad."""
+    """Return the derivative of the torque with respect to the angle, N m/rad."""
     return jax.jvp(lambda a: side_torque(a, side), (angle,), (jnp.ones_like(angle),))[1]
 
 
 def correction_slope(angle: Shaped, side: OneSide) -> Shaped:
-    """Slope of what the corrections of both muscles resist, N m/rad."""
+    """Return the derivative of the resisting torque of both corrections, N m/rad."""
     correction, ahead = side.pair.joint.correction, jnp.broadcast_to(side.ahead, angle.shape)
     return jax.jvp(lambda a: resistance(correction, a, ahead), (angle,), (jnp.ones_like(angle),))[1]
 
 
 def checked_pressures(pressures: npt.ArrayLike | Array) -> Float[Array, "2"]:
-    """Two pressures as an array, Pa.
+    """Convert two pressures to an array, Pa.
 
     Raises:
-        InputError: they are not two finite numbers of at least 0.
+        InputError: the pressures are not two finite numbers of at least 0.
     """
     pressures = jnp.asarray(pressures, dtype=jnp.result_type(float))
     if pressures.shape != (2,):
         raise InputError(
-            f"the pressures have the shape {pressures.shape}: give two numbers, of the first and "
-            "of the second muscle"
+            f"the pressures have the shape {pressures.shape}: give two numbers, one for each muscle"
         )
     if is_concrete(pressures) and not bool(jnp.all((pressures >= 0) & jnp.isfinite(pressures))):
         raise InputError(
             f"the pressures are {pressures.tolist()} Pa: give finite gauge pressures that are not "
-            f"negative"
+            "negative"
         )
     return pressures
 
 
 class Spring(eqx.Module):
-    """A joint held by two pressures, near one stable equilibrium: what a joint of the arm needs.
+    """Linear spring equivalent to a joint with two pressures near a stable equilibrium.
 
-    Its rest angle (rad) is the command of the arm's joint.
+    It can replace the muscles in a joint of an arm.
+
+    Attributes:
+        rest_angle: equilibrium angle, rad, which is the command of the joint of the arm.
+        stiffness: stiffness, N m/rad.
     """
 
     rest_angle: Scalar
@@ -293,19 +317,20 @@ def joint_spring(
     near: float | Array,
     load: float | Array = 0.0,
 ) -> Spring:
-    """Rest angle (rad) and stiffness (N m/rad) of the equilibrium near an angle; differentiable.
+    """Return rest angle (rad) and stiffness (N m/rad) of the stable equilibrium near an angle.
 
-    The derivative of the rest angle is that of the equation which it solves (implicit), so it is
-    right whatever led to the root. To be used as the spring of section III.A, whose constant
-    and initial length change.
+    The result is differentiable. The derivative of the rest angle is computed implicitly from the
+    equilibrium condition, so it does not depend on the steps of the solver. The result can be used
+    as the spring of section III.A of the paper, whose constant and initial length change.
 
     Arguments:
-        pressures: of the first and the second muscle, Pa.
-        near: where to look, rad; not 0, where the corrections have their step.
-        load: torque from outside, towards negative angles, N m.
+        pair: the joint with its muscles.
+        pressures: pressures of the first and the second muscle, Pa.
+        near: initial guess of the angle, rad; not 0, where the corrections jump.
+        load: external torque towards negative angles, N m.
 
     Raises:
-        InputError: there is no equilibrium near, or it is not stable, or it lies at 0.
+        InputError: there is no equilibrium near the angle, or it is not stable, or it lies at 0.
 
     Example:
         >>> import numpy as np
@@ -325,7 +350,9 @@ def joint_spring(
         same_side = float(spring.rest_angle) * float(near) > 0
         inside = abs(float(spring.rest_angle)) <= LARGEST_ANGLE * (1 + 1e-9)
         if not (bool(converged) and same_side and inside):
-            raise InputError(f"these pressures have no equilibrium near {shown:.4g} deg: {remedy}")
+            raise InputError(
+                f"the joint has no equilibrium near {shown:.4g} deg at these pressures: {remedy}"
+            )
         if not float(spring.stiffness) > 0:
             raise InputError(f"the equilibrium near {shown:.4g} deg is not stable: {remedy}")
     return spring

@@ -1,4 +1,4 @@
-"""One joint at rest: the forces that balance its torque, and the corrections alpha and beta."""
+"""Statics of one joint: forces that balance its torque, and the corrections alpha and beta."""
 
 import functools
 from itertools import pairwise
@@ -28,24 +28,24 @@ from ._geometry import (
     outer_path,
 )
 
-# An erratum. With the angle negative on the outer side, the paper prints
+# An erratum. The angle is negative on the outer side, and the paper prints
 #
 #     beta = 0.01 (1 - theta / 2)            for -2 <= theta <= 0 (deg),
 #     beta = -0.3 (theta - 20)^2 / 1600      for theta <= -20.
 #
-# Read so, beta jumps from 0.02 N m to 0 at -2 deg, from 0 to -0.3 N m at -20 deg, and reaches
-# -1.2 N m at -60 deg: the muscle would have to balance 0.3 - 1.2 = -0.9 N m, that is to push.
-# With the magnitude of the angle instead, beta falls from 0.01 N m at 0 to 0 at 2 deg, stays there
-# to 20 deg, and reaches -0.3 N m at 60 deg, where the force of the outer muscle is then 0: it is
-# continuous, and "connecting the whole smoothly", as the text says. This reading is the default;
-# the printed one is kept by name.
+# As printed, beta jumps from 0.02 N m to 0 at -2 deg and from 0 to -0.3 N m at -20 deg, and reaches
+# -1.2 N m at -60 deg. The muscle would then have to balance 0.3 - 1.2 = -0.9 N m, that is, to push.
+# With the magnitude of the angle instead, beta decreases from 0.01 N m at 0 to 0 at 2 deg, remains
+# 0 up to 20 deg, and reaches -0.3 N m at 60 deg, where the force of the outer muscle becomes 0.
+# This function is continuous and agrees with the text of the paper ("connecting the whole
+# smoothly"). It is the default. The printed form can be selected by its name.
 
 Reading = Literal["continuous", "printed", "none"]
 READINGS: tuple[str, ...] = get_args(Reading)
 
 
 class Alpha(eqx.Module):
-    """Correction on the inner side: a constant, and beyond a threshold the balloons' resistance.
+    """Correction on the inner side: a constant, plus the resistance of the balloons.
 
     alpha = offset + curvature max(angle - threshold, 0)^2.
     """
@@ -55,14 +55,13 @@ class Alpha(eqx.Module):
     curvature: Scalar = parameter(ALPHA.curvature)
 
     def __call__(self, angle: Shaped) -> Shaped:
-        """Alpha at bending angles (rad), N m."""
+        """Return alpha at bending angles (rad), N m."""
         return self.offset + self.curvature * jnp.maximum(angle - self.threshold, 0) ** 2
 
 
 class Beta(eqx.Module):
-    """Correction on the outer side: a wedge at the straight joint, and a fall beyond a threshold.
+    """Correction on the outer side: a wedge near the straight joint, and a fall at large angles.
 
-    With the magnitude of the angle,
     beta = offset max(1 - |angle| / width, 0) - curvature max(|angle| - threshold, 0)^2.
     """
 
@@ -72,14 +71,15 @@ class Beta(eqx.Module):
     curvature: Scalar = parameter(BETA.curvature)
 
     def __call__(self, angle: Shaped) -> Shaped:
-        """Beta at bending angles (rad, of either sign), N m, in the continuous reading."""
+        """Return beta at bending angles (rad, of either sign), N m, in the continuous reading."""
         size = jnp.abs(angle)
-        # A blend that ends where the wedge does has half of the slope there, as results have it.
+        # `maximum` has the mean of both slopes at the end of the wedge. A blend that ends there
+        # uses this slope, and stored results depend on it.
         wedge = self.offset * jnp.maximum(1 - size / self.width, 0)
         return wedge - self.curvature * jnp.maximum(size - self.threshold, 0) ** 2
 
     def printed(self, angle: Shaped) -> Shaped:
-        """Beta as the paper prints it, for angles <= 0 (rad), N m; 0 where it says nothing."""
+        """Return beta as printed in the paper, for angles <= 0 (rad), N m; 0 where undefined."""
         wedge = self.offset * (1 - angle / self.width)
         fall = -self.curvature * (angle - self.threshold) ** 2
         far = angle <= -self.threshold
@@ -87,15 +87,16 @@ class Beta(eqx.Module):
 
 
 class Correction(eqx.Module):
-    """What is added to the torque that the muscles balance.
+    """Correction that is added to the torque that the muscles balance.
 
     Arguments:
-        alpha, beta: the families of the inner and the outer side.
-        reading: "continuous", "printed" (the paper's formulae to the letter; see the erratum in
-            this module), or "none" for both zero (fig. 9).
-        blend: half-width of the range about 0 in which alpha and beta are joined by a cubic with
-            their values and slopes at its ends, rad. With 0, the default and the paper's, the
-            correction jumps at 0 from beta's offset to alpha's.
+        alpha, beta: corrections on the inner and on the outer side.
+        reading: "continuous", "printed" (the formulae exactly as in the paper; see the erratum in
+            this module), or "none" (both corrections are zero, as in fig. 9).
+        blend: half-width of the interval about 0 in which a cubic joins alpha and beta, rad. The
+            cubic has their values and slopes at the ends of the interval. With 0, which is the
+            default and the choice of the paper, the correction jumps at 0 from the offset of beta
+            to that of alpha.
     """
 
     alpha: Alpha = eqx.field(default_factory=Alpha)
@@ -115,11 +116,12 @@ class Correction(eqx.Module):
             )
 
     def __call__(self, angle: Shaped, inner: Bool[Array, "*shape"]) -> Shaped:
-        """Correction of a muscle's balanced torque, N m.
+        """Return the correction of the torque that a muscle balances, N m.
 
         Arguments:
-            angle: bending angle of the muscle, rad; positive where it is the inner one.
-            inner: whether alpha holds, or beta: what decides at 0.
+            angle: bending angle of the muscle, rad; positive if it is the inner muscle.
+            inner: whether to use alpha (true) or beta (false); the angle does not determine this
+                at 0.
         """
         if self.reading == "none":
             return jnp.zeros_like(angle)
@@ -141,23 +143,30 @@ class Correction(eqx.Module):
         )
 
 
-# Of the Gauss rule of two points, on an interval from 0 to 1; exact for a cubic.
+# Points of the two-point Gauss rule on the interval from 0 to 1. The rule is exact for a cubic.
 _POINTS = (0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12))
 
 
 def resistance(correction: Correction, angle: Shaped, ahead: Bool[Array, "*shape"]) -> Shaped:
-    """Torque with which the corrections of both muscles of a pair resist, towards 0, N m.
+    """Return the resisting torque of the corrections of both muscles of a pair, towards 0, N m.
 
-    At angles (rad); `ahead`, whether the first muscle is the inner one, decides at 0.
+    Arguments:
+        correction: the correction.
+        angle: bending angles of the pair, rad.
+        ahead: whether the first muscle is the inner muscle; needed at an angle of 0.
     """
     return correction(angle, ahead) - correction(-angle, ~ahead)
 
 
 def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
-    """Energy that bending to angles (rad) stores against `resistance`, J; 0 in the straight joint.
+    """Return the energy stored by bending against `resistance`, J; 0 in the straight joint.
 
-    Between two kinks the resistance is a cubic of the angle, so that the sum over the pieces is
-    exact. The reading must be the continuous one, or none.
+    Between two kinks the resistance is a polynomial of the angle of at most third degree, so the
+    sum over the pieces is exact. The reading must be "continuous" or "none".
+
+    Arguments:
+        correction: the correction.
+        angle: bending angles, rad.
     """
     size = jnp.abs(angle)
     beta = correction.beta
@@ -174,18 +183,18 @@ def resistance_energy(correction: Correction, angle: Shaped) -> Shaped:
 
 
 class MuscleState(eqx.Module):
-    """A muscle of a joint at rest; arrays of one shape, that of the angles.
+    """State of a muscle of a joint at rest. All arrays have the shape of the angles.
 
     Attributes:
         angle: bending angle of the muscle, rad.
-        torque: that the muscle balances, its correction included, N m.
-        path: its path.
-        contraction: epsilon of eq. (2), relative to L_pam.
-        lever: of the muscle's force about the joint's centre, m.
-        force: tension F of the muscle, N. Negative where it would have to push.
-        wire_tension: F_w, N; 0 where the wire is slack.
-        push_x, push_y: push F_b of the muscle on the balloon of the right link (eq. 9), N; 0
-            where it touches no balloon.
+        torque: torque that the muscle balances, including its correction, N m.
+        path: path of the muscle.
+        contraction: contraction epsilon of eq. (2), relative to L_pam.
+        lever: lever arm of the muscle force about the centre of the joint, m.
+        force: tension F of the muscle, N; negative if the muscle would have to push.
+        wire_tension: tension F_w of the wire, N; 0 if the wire is slack.
+        push_x, push_y: components of the force F_b of the muscle on the balloon of the right link
+            (eq. 9), N; 0 if the muscle touches no balloon.
     """
 
     angle: Shaped
@@ -200,19 +209,19 @@ class MuscleState(eqx.Module):
 
     @property
     def branch(self) -> Array:
-        """0 inner and taut, 1 inner and slack, 2 outer and straight, 3 outer and wrapped."""
+        """Branch: 0 inner, taut; 1 inner, slack; 2 outer, straight; 3 outer, wrapped."""
         inside = jnp.where(self.path.engaged, 0, 1)
         return jnp.where(self.path.inner, inside, jnp.where(self.path.engaged, 3, 2))
 
 
 class Tension(NamedTuple):
-    """What one newton of a muscle's tension does; arrays of one shape.
+    """Effects of a muscle tension of 1 N. All arrays have the same shape.
 
     Attributes:
-        path: of the muscle.
-        lever: of its force about the joint's centre, m.
-        wire: tension of the wire.
-        push: of the muscle on the balloon of the right link.
+        path: path of the muscle.
+        lever: lever arm of the muscle force about the centre of the joint, m.
+        wire: tension of the wire, N.
+        push: force of the muscle on the balloon of the right link, N.
     """
 
     path: MusclePath
@@ -222,14 +231,14 @@ class Tension(NamedTuple):
 
 
 def inner_tension(geometry: JointGeometry, bend: Bend) -> Tension:
-    """The tension of an inner muscle (eqs 4 to 6)."""
+    """Return the effects of a tension of 1 N in an inner muscle (eqs 4 to 6)."""
     path = inner_path(geometry, bend)
     anchor, wire_end, taut = geometry.anchor(bend), geometry.wire_end(bend), path.engaged
     bush = (jnp.zeros_like(path.height), path.height)
     # Force of the muscle on the right link at C. A straight muscle pulls along -x.
     bent = _unit(anchor, bush)
     pull = jnp.where(taut, bent[0], -1), jnp.where(taut, bent[1], 0)
-    # Eq. (4): the wire takes what the muscle pushes the bush along the bisector.
+    # Eq. (4): the wire balances the force of the muscle on the bush along the bisector.
     hold = _unit(wire_end, bush)
     wire = jnp.where(taut, -pull[1] / jnp.where(taut, hold[1], 1), 0)
     lever = _moment(anchor, pull) + wire * _moment(wire_end, hold)
@@ -237,13 +246,13 @@ def inner_tension(geometry: JointGeometry, bend: Bend) -> Tension:
 
 
 def outer_tension(geometry: JointGeometry, bend: Bend) -> Tension:
-    """The tension of an outer muscle (eqs 9 to 11)."""
+    """Return the effects of a tension of 1 N in an outer muscle (eqs 9 to 11)."""
     path = outer_path(geometry, bend)
     anchor, contact, wrapped = geometry.anchor(bend), geometry.contact(bend), path.engaged
     # Force of the muscle on the right link at N.
     bent = _unit(anchor, (contact[0], path.height))
     pull = jnp.where(wrapped, bent[0], -1), jnp.where(wrapped, bent[1], 0)
-    # Eq. (9): the push on the balloon's shoulder; the muscle leaves it towards N and towards P.
+    # Eq. (9): the force on the balloon's shoulder is the sum of the tensions towards N and P.
     push = jnp.where(wrapped, -pull[0] - 1, 0), jnp.where(wrapped, -pull[1], 0)
     lever = _moment(anchor, pull) + jnp.where(wrapped, _moment(contact, push), 0)
     return Tension(path, lever, jnp.zeros_like(lever), push)
@@ -255,10 +264,16 @@ def muscle_balance(
     torque: Shaped,
     inner: Bool[Array, "*shape"] | None = None,
 ) -> MuscleState:
-    """Forces that balance a torque (N m), the correction already in it (eqs 4 to 6, 9 to 11).
+    """Return the forces of a muscle that balance a torque (eqs 4 to 6 and 9 to 11).
 
-    Everything is in closed form: the paper's equations are linear in the forces. Bending angles are
-    those of the muscle, rad; `inner` is the side, as in `muscle_path`. Nothing is checked.
+    The solution is in closed form, because the equations of the paper are linear in the forces. The
+    arguments are not checked.
+
+    Arguments:
+        geometry: geometry of the joint.
+        angle: bending angles of the muscle, rad.
+        torque: torque that the muscle balances, including the correction, N m.
+        inner: whether the muscle is the inner one; see `muscle_path`.
     """
     inner = angle >= 0 if inner is None else inner
     unit = jax.tree.map(
@@ -272,7 +287,7 @@ def muscle_balance(
 def balance_of(
     unit: Tension, geometry: JointGeometry, angle: Shaped, torque: Shaped
 ) -> MuscleState:
-    """State of a muscle that balances a torque (N m), from what a newton of it does."""
+    """Return the state of a muscle that balances a torque (N m), from the effects of 1 N."""
     force = torque / unit.lever
     return MuscleState(
         angle=angle,
@@ -298,12 +313,13 @@ def _moment(at: Point, force: Point) -> Array:
 
 
 class Joint(eqx.Module):
-    """One joint: its geometry, the corrections, and the torque that is on it at all times.
+    """One joint: geometry, corrections, and the constant torque that its muscles balance.
 
     Arguments:
-        geometry: where muscle, wire and balloon are.
-        correction: alpha and beta; their parameters are `alpha.offset`, `beta.curvature`, ...
-        torque: what each muscle balances beside the correction, N m.
+        geometry: positions of muscle, wire and balloon.
+        correction: corrections alpha and beta, with parameters such as `alpha.offset` and
+            `beta.curvature`.
+        torque: torque that each muscle balances in addition to the correction, N m.
     """
 
     geometry: JointGeometry = eqx.field(default_factory=JointGeometry)
@@ -317,21 +333,22 @@ def muscle_state(
     torque: npt.ArrayLike | Array | None = None,
     side: str | None = None,
 ) -> MuscleState:
-    """Contraction and forces of one muscle that balances a torque on the joint at rest.
+    """Return contraction and forces of one muscle that balances a torque on the joint at rest.
 
-    The state is in closed form on every branch. It is continuous across the branches; at 0 the
-    force steps by the difference of alpha and beta, unless the correction is blended.
+    The solution is in closed form on every branch and continuous across the branches. At an angle
+    of 0, the force jumps because alpha and beta differ, unless the correction is blended.
 
     Arguments:
-        angle: bending angle of the muscle, rad, of any shape: positive where the joint bends
-            towards it (inner), negative where it bends away (outer).
-        torque: on the joint, without the correction, N m, a number or of the angle's shape; that
-            of the joint (0.3 N m) by default.
-        side: "inner" or "outer" at an angle of 0, where both hold; "inner" by default.
+        joint: the joint.
+        angle: bending angle of the muscle, rad, of any shape: positive if the joint bends towards
+            the muscle (inner), negative if it bends away from the muscle (outer).
+        torque: torque on the joint without the correction, N m; a number, or an array with the
+            shape of the angle; by default the torque of the joint (0.3 N m).
+        side: "inner" or "outer", which selects the side at an angle of 0; "inner" by default.
 
     Raises:
-        InputError: the geometry is impossible at one of the angles, an angle beyond 90 deg, a
-            number that is not finite, or a side that contradicts an angle.
+        InputError: the geometry is impossible at one of the angles, an angle is beyond 90 deg, a
+            number is not finite, or the side contradicts an angle.
 
     Example:
         >>> import numpy as np
@@ -358,7 +375,7 @@ def muscle_state(
 
 
 def balanced(joint: Joint, angle: Array, torque: Array, inner: Array) -> MuscleState:
-    """State of a muscle at angles (rad) with its correction beside a torque (N m); unchecked."""
+    """Return the state of a muscle that balances a torque (N m) and its correction; unchecked."""
     corrected = torque + joint.correction(angle, inner)
     return muscle_balance(joint.geometry, angle, corrected, inner)
 
@@ -380,7 +397,6 @@ def _check(joint: Joint, angle: Array, torque: Array, side: str | None) -> None:
         at = float(jnp.rad2deg(angle.ravel()[jnp.argmax(wrong)]))
         raise InputError(
             f"at {at:.4g} deg the muscle is not on the {side} side: omit the side, or give the "
-            f"angle with "
-            "the opposite sign"
+            "angle with the opposite sign"
         )
     check_geometry(joint.geometry, jax.device_get(angle))

@@ -1,4 +1,4 @@
-"""Pages for a browser: one result, or several side by side. Needs the extra `report`."""
+"""Pages for a browser: one result, or a comparison of several. Requires the extra `report`."""
 
 from ._compare import compare_page as compare_page
 from ._plots import autocorrelation as autocorrelation, thinned as thinned

@@ -1,4 +1,4 @@
-"""The page about several results."""
+"""Page that compares several results."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,16 +13,16 @@ from .._views import Table
 from ._render import rendered, some_of
 from ._report import opening
 
-# Width of the picture of one parameter, of its margins, and height of a result in it, pixels.
+# Width and margins of the picture of one parameter, and height of a result in it, pixels.
 _WIDTH, _MARGIN, _HEIGHT = 360.0, 24.0, 15.0
 
 _COLOURS = (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE, ORANGE, SKY)
 
-_DIFFERENT = 3.0  # so many joint standard errors are a difference
+_DIFFERENT = 3.0  # minimum difference in units of the joint standard error
 
 
 def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
-    """As of `giajax.report.compare_page`."""
+    """Return the page of `giajax.report.compare_page`."""
     parameters, whole = contrast_tables(found)
     names = [column.name for column in found.columns]
     apart = _apart(found)
@@ -49,7 +49,7 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
 
 
 def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
-    """A grade, which colours it, and one sentence."""
+    """Return a grade, which determines the colour, and one sentence."""
     if apart:
         return "doubtful", "The results differ by more than their errors"
     others = list(enumerate(found.columns))[1:]
@@ -79,7 +79,7 @@ def _verdict(found: Contrast, apart: Sequence[str]) -> tuple[str, str]:
 
 
 def _apart(found: Contrast) -> list[str]:
-    """Sentences on the parameters that differ."""
+    """Return sentences on the parameters that differ."""
     names = [column.name for column in found.columns]
     return [
         f"{row.path} of {names[index]} is {abs(difference):.2g} joint standard errors "
@@ -93,10 +93,10 @@ def _apart(found: Contrast) -> list[str]:
 def _drawn(
     row: ContrastRow, names: Sequence[str]
 ) -> tuple[list[dict[str, Any]], list[tuple[float, str]]] | None:
-    """What a picture of a parameter has, in pixels: a mark for each result, and the ticks below.
+    """Return the marks of each result in the picture of a parameter, and its ticks, in pixels.
 
-    A value has a bar of two standard errors, a held one is a tick, and one that is free and not
-    determined is a word. None where fewer than two results have a value, or none has an error.
+    A value has a bar of two standard errors, a held value is a tick, and a free parameter that is
+    not determined is a word. None if fewer than two results have a value, or none has an error.
     """
     known = {
         index: (one.value, 2 * (one.standard_error or 0.0))
@@ -131,10 +131,10 @@ def _drawn(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """About four round numbers within an interval."""
+    """Return about four round numbers within an interval."""
     rough = ((high - low) or abs(high) or 1.0) / 4
     power = 10.0 ** np.floor(np.log10(rough))
     step = float(power * next(each for each in (1, 2, 5, 10) if each * power >= rough * (1 - 1e-9)))
     first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
-    # Not minus zero.
+    # Adding 0.0 turns -0.0 into 0.0.
     return [float(step * k) + 0.0 for k in np.arange(first, last + 1)]

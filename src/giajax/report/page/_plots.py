@@ -1,4 +1,4 @@
-"""The plots of one run, as what BokehJS draws: recorded and fitted, residuals, their memory."""
+"""Plots of one run for BokehJS: recorded and fitted values, residuals, autocorrelations."""
 
 import itertools
 import json
@@ -26,13 +26,14 @@ _MOST_LAGS = 60
 def autocorrelation(
     residuals: Float[np.ndarray, " sample"],
 ) -> tuple[Float[np.ndarray, " lag"], float]:
-    """Autocorrelation of residuals at lags of 1, 2, ... samples, and the 95 % band of white noise.
+    """Return the autocorrelation of residuals at lags of 1, 2, ... samples, and its 95 % band.
 
     Arguments:
-        residuals: recorded minus fitted; NaN where not measured, which pairs with nothing.
+        residuals: recorded minus fitted values; NaN if not measured, which forms no pairs.
 
     Returns:
-        The autocorrelations, none where there are too few values, and half the width of the band.
+        The autocorrelations, empty with too few values, and half the width of the 95 % band of
+        white noise.
     """
     known = ~np.isnan(residuals)
     count = int(known.sum())
@@ -49,13 +50,13 @@ def autocorrelation(
 
 
 def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[np.ndarray, " kept"]:
-    """Which samples to draw, so that no extreme of any column is lost.
+    """Select samples to draw without losing an extreme value of any column.
 
-    The samples are cut into equal spans. Of each the first one stays, and where each column is
-    least and greatest: a single outlier among a million values is drawn.
+    The samples are divided into equal intervals. In each, the first sample is kept, and the minimum
+    and maximum of each column. A single outlier among a million values is therefore drawn.
 
     Returns:
-        Their numbers, about `most` of them, ascending.
+        The sample numbers, about `most` of them, ascending.
     """
     count = len(columns[0])
     if count <= most:
@@ -72,11 +73,11 @@ def thinned(columns: Sequence[Float[np.ndarray, " sample"]], most: int) -> Int[n
     return np.array(sorted(kept))
 
 
-_COLOURS = (BLUE, VERMILLION, GREEN)  # as three coordinates of one point, or as one channel
+_COLOURS = (BLUE, VERMILLION, GREEN)  # of the three coordinates of a point; the first for others
 
 
 def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, log: bool) -> str:
-    """A line over steps, such as the cost of each iteration, as what BokehJS embeds."""
+    """Return a line over iterations, such as the cost of each, as JSON for BokehJS."""
     plot = new_plot(200, "iteration", label, y_axis_type="log" if log else "linear")
     source = ColumnDataSource({"x": np.asarray(over, float), "y": np.asarray(values, float)})
     plot.line("x", "y", source=source, color=BLUE, line_width=1.5)
@@ -85,7 +86,7 @@ def curve_item(label: str, over: Sequence[float], values: Sequence[float], *, lo
 
 
 def memory_plot(channels: Sequence[Channel], residuals: Sequence[np.ndarray]) -> Any:
-    """Autocorrelations within the band of white noise; None where there are too few values."""
+    """Plot autocorrelations and the band of white noise; None with too few values."""
     plot = new_plot(140, "lag (samples)", "correlation")
     widest = 0.0
     for place, channel in enumerate(channels):
@@ -108,17 +109,17 @@ def memory_plot(channels: Sequence[Channel], residuals: Sequence[np.ndarray]) ->
 
 
 def colour_of(place: int, channel: Channel, several: bool) -> str:
-    """That of a coordinate, where several share a plot; else the first."""
+    """Return the colour of a coordinate if several share a plot, otherwise the first one."""
     if not several:
         return BLUE
     return _COLOURS[(place if channel.component is None else channel.component) % len(_COLOURS)]
 
 
-_MOST_PARAMETERS = 12  # each parameter costs a prediction; the program for it is compiled already
+_MOST_PARAMETERS = 12  # each parameter requires a prediction, by a compiled program
 
 
 def can_have_bands(result: FitResult) -> bool:
-    """Whether a band costs little and is what the result knows: few parameters, without ties."""
+    """Return whether bands are cheap and follow from the result: few parameters, no ties."""
     paths = result.correlation.parameters
     return (
         0 < len(paths) <= _MOST_PARAMETERS
@@ -133,11 +134,12 @@ def can_have_bands(result: FitResult) -> bool:
 def prediction_errors_of_parameters(
     result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Standard deviation of each predicted channel by the covariance of the shared parameters.
+    """Return the standard deviation of each predicted channel due to the shared parameters.
 
-    To first order: each parameter is moved by its standard error, and the changes are added up
-    with the correlations. What a run has for itself, such as its initial state, is not in it.
-    SI, by channel, each of shape (sample,); empty where a moved model cannot be predicted.
+    It is a first-order propagation of their covariance: each parameter is changed by its standard
+    error, and the changes are combined with the correlations. Parameters of a single run, such as
+    its initial state, are not included. SI, by channel, each of shape (sample,); empty if a
+    changed model cannot be predicted.
     """
     model = result.model_of(run)
     changes: dict[str, list[np.ndarray]] = {name: [] for name in predicted}
@@ -162,10 +164,10 @@ def prediction_errors_of_parameters(
 
 
 class Panel(NamedTuple):
-    """The plots of one channel, or of the coordinates of one point, as the JSON of BokehJS.
+    """The plots of one channel, or of the coordinates of one point, as JSON for BokehJS.
 
-    With its names and unit, how well they are described, the colour of each channel where several
-    share it, and how many of how many samples are drawn.
+    It also has names and unit, the quality of the fit, the colour of each channel if several share
+    the panel, and the numbers of drawn and of all samples.
     """
 
     title: str
@@ -177,9 +179,10 @@ class Panel(NamedTuple):
 
 
 def worst_panels(run: Run, record: RunFit, most: int) -> tuple[list[list[str]], int]:
-    """Names of the channels of each panel, and how many channels have none.
+    """Return the names of the channels of each panel, and the number of channels without one.
 
-    Of more than `most` those that are described worst stay, in the order of the file.
+    If there are more than `most`, those with the largest residuals are kept, in the order of the
+    file.
     """
     groups = channels_together(run, most)
     shown = sorted(range(len(groups)), key=lambda i: -times_noise(record, groups[i]))[:most]
@@ -197,13 +200,13 @@ def panel(
     bands: Mapping[str, np.ndarray] | None = None,
     values: int = 20_000,
 ) -> Panel:
-    """The plots of some channels of a run, by name.
+    """Plot some channels of a run, given by name.
 
     Arguments:
-        predicted: what the fitted model predicts for it, SI, by channel.
-        record: the run's entry in the result; `held` is what was held out of the run.
-        bands: standard deviations of the prediction by the parameters, SI, by channel.
-        values: about how many numbers the plots may hold.
+        predicted: predictions of the fitted model for the run, SI, by channel.
+        record: the entry of the run in the result; `held` is the held-out part of the run.
+        bands: standard deviations of the prediction due to the parameters, SI, by channel.
+        values: approximate limit on the number of values in the plots.
     """
     over, label = abscissa(run)
     channels = [run.channels[name] for name in names]
@@ -234,7 +237,7 @@ def _columns(
     held: Run | None,
     bands: Mapping[str, np.ndarray] | None,
 ) -> dict[str, np.ndarray]:
-    """Recorded, fitted, difference, held out and band by channel, in the units of the file."""
+    """Return recorded, fitted, difference, held-out and band columns, in the units of the file."""
     data: dict[str, np.ndarray] = {}
     for place, channel in enumerate(channels):
         recorded = channel.from_si(run.observations[channel.name])
@@ -252,7 +255,7 @@ def _columns(
 def _line(
     over: np.ndarray, data: Mapping[str, np.ndarray], kept: np.ndarray, sweeps: np.ndarray
 ) -> ColumnDataSource:
-    """The fitted values with a gap wherever the run jumps to another sweep; empty without one."""
+    """Return fitted values with a gap before each new sweep; empty if there are no sweeps."""
     if not len(sweeps):
         return ColumnDataSource()
     places = np.searchsorted(kept, sweeps)

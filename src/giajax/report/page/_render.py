@@ -1,4 +1,4 @@
-"""Templates, styles and scripts as one file that needs no other and no network."""
+"""Combine templates, styles and scripts into one file that needs no network connection."""
 
 import functools
 import json
@@ -18,14 +18,14 @@ from ...recordings import Run
 from ...runtime.page_policy import with_policy
 from ...simulation import SimulationError
 
-_MOST_FRAMES = 240  # as many as an eye follows; more make the page larger and no clearer
-_GRID = 4095  # coordinates are integers of this range: an eye sees a thousandth
+_MOST_FRAMES = 240  # enough for a smooth animation; more only make the page larger
+_GRID = 4095  # coordinates are integers up to this value, which is finer than visible
 
 
 class Arm(NamedTuple):
-    """A model that moves, as the JSON of the script, and how many markers were recorded.
+    """An animated model as JSON for the script, and the number of recorded markers.
 
-    They are not drawn where the axes of the recording are not aligned with those of the model.
+    Recorded markers are not drawn if the axes of the recording differ from those of the model.
     """
 
     data: str
@@ -34,10 +34,11 @@ class Arm(NamedTuple):
 
 
 def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) -> Arm | None:
-    """What the arm of a fitted run looks like over time, with its recorded markers, as JSON.
+    """Return an animation of the model of a fitted run with its recorded markers, as JSON.
 
-    Lines with radii, fitted and recorded markers, on a grid of integers; None for a model of which
-    nothing is seen, or that cannot be simulated there. `predicted` is SI, by channel.
+    It contains lines with radii, and fitted and recorded markers, on a grid of integers. It is None
+    for a model without visible parts, or one that cannot be simulated here. `predicted` contains
+    channels in SI.
     """
     try:
         scene = capabilities.scene(result.model_of(run), run)
@@ -82,13 +83,13 @@ def animation(result: FitResult, run: Run, predicted: Mapping[str, np.ndarray]) 
 
 _FOLDER = files(__package__) / "templates"
 
-_MOST_NAMES = 3  # more names than this are no title
+_MOST_NAMES = 3  # more names than this are too long for a title
 
 
 def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
-    """A template with the facts, escaped, and with all that it needs inside.
+    """Render a template with escaped facts, including all styles and scripts that it needs.
 
-    With `plots` BokehJS goes in, 1.3 MB of it.
+    With `plots`, BokehJS is included, which is 1.3 MB.
     """
     environment = Environment(
         loader=FunctionLoader(_text), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -104,12 +105,12 @@ def rendered(template: str, *, plots: bool, **facts: Any) -> bytes:
 
 
 def study_page(**facts: Any) -> bytes:
-    """As of `giajax.report.study_page`."""
+    """Return the page of `giajax.report.study_page`."""
     return rendered("study.html", plots=False, **facts)
 
 
 def some_of(names: Iterable[str]) -> list[str]:
-    """The first different names for a title, and how many more there are."""
+    """Return the first different names for a title, and the number of others."""
     different = list(dict.fromkeys(names))
     more = len(different) - _MOST_NAMES
     return different if more <= 0 else [*different[:_MOST_NAMES], f"and {more} more"]
@@ -121,12 +122,12 @@ def _text(name: str) -> str:
 
 @functools.cache
 def _bundle() -> str:
-    """BokehJS; no end of a script may stand within a script."""
+    """Return BokehJS, with the end tag of a script escaped inside it."""
     (script,) = Resources(mode="inline", components=["bokeh"]).js_raw[:1]
     return script.replace("</script", "<\\/script")
 
 
 def _data(text: str) -> Markup:
-    """JSON as it may stand in a script of data: a name of a run ends no element."""
+    """Escape JSON for a script element, so the name of a run cannot end the element."""
     escaped = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
     return Markup(escaped)

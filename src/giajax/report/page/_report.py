@@ -1,4 +1,4 @@
-"""The page about one result."""
+"""Page of one result."""
 
 import datetime
 import json
@@ -40,23 +40,23 @@ from ._tables import (
     validation_table,
 )
 
-# What a reader must know before any number: whether to believe them, and what limits them, in the
-# order in which it matters. The sentences say nothing that is not in the result.
+# Sentences that a reader must know before any number: whether it can be trusted, and its
+# limitations, in the order of importance. They contain nothing that is not in the result.
 
-# Correlations beyond this, errors beyond this part of a value, and predictions of what was held
-# out that are off by so many times what they should be, are worth a sentence.
+# A correlation above the first limit, an error above the second (relative to the value), and a
+# prediction error of held-out data above the third (relative to the expected one) are reported.
 _CORRELATED, _VAGUE, _FAR_OFF = 0.9, 0.1, 1.5
 
-_NOTABLE = 0.5  # a shift of a held number, or of the tolerance, by this many standard errors is too
+_NOTABLE = 0.5  # reported shift due to a held number or the tolerance, in standard errors
 
-# Findings that the parameters' own sentences here say already.
+# Findings that the sentences on parameters here already contain.
 _SAID = ("no_response", "correlated")
 
 
 class Opening(NamedTuple):
-    """The top of a page: a grade ("good", "doubtful" or "bad"), a sentence, and what limits it all.
+    """The top of a page: a grade ("good", "doubtful" or "bad"), a sentence, and limitations.
 
-    Of the limits the most important is the first.
+    The most important limitation is the first one.
     """
 
     grade: str
@@ -65,7 +65,7 @@ class Opening(NamedTuple):
 
 
 def opening(result: FitResult) -> Opening:
-    """The verdict in plain words."""
+    """Return the verdict in plain words."""
     limits = [
         *_of_the_model(result),
         *_undetermined(result),
@@ -124,8 +124,7 @@ def _undetermined(result: FitResult) -> list[str]:
 def _held_numbers(result: FitResult) -> list[str]:
     return [
         f"{error.path} is fixed, and {'its uncertainty' if error.stated else 'a change of 1 %'} "
-        "changes "
-        f"{', '.join(error.decides)} by more than a standard error"
+        f"changes {', '.join(error.decides)} by more than a standard error"
         for error in result.systematic
         if error.decides
     ]
@@ -164,7 +163,7 @@ def _prediction(result: FitResult) -> list[str]:
         return ["no data were held out, so the prediction error is not tested"]
     if sizes and max(sizes) > _FAR_OFF:
         return [
-            f"the held-out data are predicted with errors up to {max(sizes):.2g} times those "
+            f"the held-out data are predicted with errors up to {max(sizes):.2g} times the errors "
             "expected from noise and parameters"
         ]
     return []
@@ -196,14 +195,14 @@ def _has_wrong_derivatives(result: FitResult) -> bool:
     return check is not None and check.relative_difference > WRONG_DERIVATIVES
 
 
-# Panels of all runs together, and numbers in all of them: some 3 MB.
+# Limits on the panels of all runs together, and on the numbers in them, about 3 MB.
 _MOST_PANELS, _MOST_VALUES = 24, 420_000
 
-_MOST_SUSPECTS = 8  # more suspects than this are a list to read with `giajax suspects`
+_MOST_SUSPECTS = 8  # `giajax suspects` lists more
 
 
 class _RunPart(NamedTuple):
-    """What the page draws of a run."""
+    """The plots of a run on the page."""
 
     name: str
     panels: list[Panel]
@@ -214,7 +213,7 @@ class _RunPart(NamedTuple):
 
     @property
     def thinned(self) -> Panel | None:
-        """A panel that does not draw all samples."""
+        """A panel that does not draw all samples, or None."""
         return next((panel for panel in self.panels if panel.drawn < panel.samples), None)
 
 
@@ -225,8 +224,8 @@ def report_page(
     held_out: Sequence[Run] = (),
     source: Path | None = None,
 ) -> bytes:
-    """As of `giajax.report.report_page`."""
-    # What is predicted here, the bands and the arm with it, begins where the fitted values do.
+    """Return the page of `giajax.report.report_page`."""
+    # Predictions, bands and animation start from the fitted initial states.
     runs = with_fitted_states(result, matching_runs(result.runs, runs, whole=True))
     predictions = result.predictions or [result.predict(run) for run in runs]
     bands = can_have_bands(result)
@@ -293,7 +292,7 @@ def _run_parts(
             panel(names, run, predicted, record, held=partly, bands=widths, values=values)
             for names in panels
         ]
-        # One arm that moves is enough; two are a page that no phone opens.
+        # Only one animation is included, because two would make the page too large for a phone.
         seen = any(part.arm for part in parts)
         arm = None if seen else animation(result, run, predicted)
         parts.append(_RunPart(run.name, shown, left_out, arm, run.drawn_over is None, hollow))
@@ -309,7 +308,7 @@ def _cost(result: FitResult) -> str | None:
 
 
 def _again(source: Path | None) -> tuple[str, str]:
-    """The command that fits it again, or why there is none."""
+    """Return the command that repeats the fit, or the reason why there is none."""
     if source is None:
         return "", "the result was not read from a file"
     try:

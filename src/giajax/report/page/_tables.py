@@ -1,4 +1,4 @@
-"""The tables of a page about one result, as rows of text that a template lays out."""
+"""Tables of the page of one result, as rows of text for a template."""
 
 import json
 import math
@@ -19,12 +19,12 @@ from ...studies import distinct_optima, lost_starts, together
 from .. import Table
 from .._text import correlation_text
 
-# A correlation's colour is mixed of white and one of these.
+# The colour of a correlation is a mixture of white and one of these.
 _POSITIVE, _NEGATIVE = (213, 94, 0), (0, 114, 178)
 
 
 class Cell(NamedTuple):
-    """A correlation: as text, its colours, and what it is between."""
+    """A correlation as text, its colours, and its two parameters."""
 
     text: str
     background: str
@@ -33,7 +33,7 @@ class Cell(NamedTuple):
 
 
 def correlation_cells(result: FitResult) -> list[list[Cell]]:
-    """The lower half of the correlation matrix, a row for each parameter after the first."""
+    """Return the lower half of the correlation matrix, a row for each parameter after the first."""
     paths = result.correlation.parameters
     return [
         [_cell(value, f"{paths[i]} and {paths[j]}") for j, value in enumerate(row[:i])]
@@ -42,7 +42,7 @@ def correlation_cells(result: FitResult) -> list[list[Cell]]:
 
 
 def _cell(value: float | None, about: str) -> Cell:
-    # In memory it is not a number where in a file it is null.
+    # In memory it is NaN; in a file it is null.
     if value is None or not math.isfinite(value):
         return Cell("?", "#ffffff", "#222222", about)
     size = min(abs(value), 1.0)
@@ -53,15 +53,15 @@ def _cell(value: float | None, about: str) -> Cell:
 
 
 def parameter_rows(result: FitResult) -> list[dict[str, Any]]:
-    """What was fitted, what follows from it, and what the settings hold; in the columns' units.
+    """Return fitted, derived and held parameters, in the units of the columns.
 
-    Each as text, by what it is called in the template; `exact` is the value at full precision.
+    Each is text, by its name in the template. `exact` is the value at full precision.
     """
     factors = column_factors(result.model)
     stated = together(result.systematic)
     rows = []
     for path, one in in_column_units(result.shown, result.model).items():
-        # Of an element, or of a group of runs, it is that of the parameter.
+        # An element and a group of runs have the factor of the parameter.
         factor = factors.get(path.partition(" of ")[0].partition("[")[0], 1.0)
         value, error = format_estimate(one.value, one.standard_error)
         systematic, both = _times(stated.get(path), factor), None
@@ -80,7 +80,7 @@ def parameter_rows(result: FitResult) -> list[dict[str, Any]]:
 
 
 def _sources(sources: Mapping[str, float | None]) -> str:
-    """Recordings with what leaving each out does to the error, the weightiest first."""
+    """Return recordings with the effect of each on the error, the most important one first."""
     weights = {name: np.inf if factor is None else factor for name, factor in sources.items()}
     ordered = sorted(weights, key=lambda name: -weights[name])
     return ", ".join(
@@ -90,7 +90,7 @@ def _sources(sources: Mapping[str, float | None]) -> str:
 
 
 def noise_table(result: FitResult) -> Table:
-    """Each channel of each run: how far off, against which noise."""
+    """Return a table of the RMSE and the noise of each channel of each run."""
     rows = []
     for run in result.runs:
         for name, c in run.channels.items():
@@ -115,12 +115,12 @@ def noise_table(result: FitResult) -> Table:
 
 
 def held_out_table(result: FitResult) -> Table:
-    """What was held out, and how far off its prediction is."""
+    """Return a table of the held-out data and their prediction errors."""
     return _errors(result.held_out, "error / expected error", lambda c: _number(c.size, "-"))
 
 
 def validation_table(result: FitResult) -> Table:
-    """Runs that were not fitted, and how far off their prediction is."""
+    """Return a table of the runs that were not fitted and their prediction errors."""
     return _errors(result.validation, "largest error", lambda c: _number(c.largest))
 
 
@@ -136,16 +136,16 @@ def _errors(
 
 
 def _free(result: FitResult) -> tuple[dict[str, float], list[str]]:
-    """By what the free parameters are multiplied in the columns' units, and their headings."""
+    """Return the factors of the free parameters to column units by path, and their headings."""
     factors = column_factors(result.model)
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
-    # Of an element of an array, it is that of the array.
+    # An element of an array has the factor of the array.
     paths = {path: factors.get(path.partition("[")[0], 1.0) for path in result.free}
     return paths, [f"{path} ({units[path]})" if units[path] else path for path in paths]
 
 
 def starts_table(result: FitResult) -> Table:
-    """Where each start ended, in the columns' units."""
+    """Return a table of the end of each start, in the units of the columns."""
     paths, headings = _free(result)
     rows = [
         [start.status, format_number(start.misfit, ".6g")]
@@ -156,7 +156,7 @@ def starts_table(result: FitResult) -> Table:
 
 
 def optima_table(result: FitResult) -> Table:
-    """The optima that the starts reached, in the columns' units; what failed is below them."""
+    """Return a table of the optima that were reached, in column units, and of failed starts."""
     paths, headings = _free(result)
     rows = [
         [f"optimum {place}", str(optimum.reached), f"{optimum.worse:.3g}"]
@@ -169,7 +169,7 @@ def optima_table(result: FitResult) -> Table:
 
 
 def own_table(result: FitResult) -> Table:
-    """What single runs have for themselves, such as an initial state, in the columns' units."""
+    """Return a table of the parameters of single runs, such as initial states, in column units."""
     factors = column_factors(result.model)
     units = {path: one.unit for path, one in in_column_units(result.free, result.model).items()}
     rows = []
@@ -177,18 +177,18 @@ def own_table(result: FitResult) -> Table:
         for path, own in run.parameters.items():
             factor = factors.get(path.partition("[")[0], 1.0)
             numbers = format_estimate(own.value * factor, _times(own.standard_error, factor))
-            # A state is no parameter of the model, which would know its unit.
+            # The state of a run is not a parameter of the model, which would give its unit.
             unit = units.get(path, "SI") or "-"
             rows.append([run.name, path, *numbers, unit, own.remark or "-"])
     return Table(["run", "parameter", "value", "error", "unit", "remark"], rows, 2)
 
 
 def file_rows(result: FitResult) -> Table:
-    """The files that were fitted, each with its checksum."""
+    """Return a table of the fitted files with their checksums."""
     rows = {run.path: run.sha256 for run in result.runs if run.path}
     rows |= {record.path: record.sha256 for record in result.held_out if record.path}
     listed = {**rows, **result.task.get("inputs", {})}
-    # A recording without a sidecar: that there was none is a part of what was fitted.
+    # A missing sidecar is listed, too, because its absence is part of the input.
     files = [[str(path), str(sha or "file did not exist")] for path, sha in listed.items()]
     return Table(["file", "SHA-256"], files, 2)
 
