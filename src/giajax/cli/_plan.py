@@ -90,7 +90,7 @@ def plan(
 ) -> None:
     """Plan a command that brings the arm to rest at a target.
 
-    Within limits of angle, rate, pressure and clearance, the command is as fast as possible, or has
+    Within limits on angle, rate, pressure and clearance, the command is as fast as possible, or has
     the least swing for a given duration. It is optimised with derivatives of the simulator.
     """
     from ..recordings import check_output_folder, write_run

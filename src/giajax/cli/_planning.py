@@ -369,7 +369,7 @@ def design(
 ) -> None:
     """Design the next experiment: its command and its markers.
 
-    Minimises the standard error of chosen parameters within limits of angle, rate and time. The
+    Minimises the standard error of chosen parameters within limits on angle, rate and time. The
     error is averaged over the current uncertainty of these parameters. Ctrl-C keeps the best result
     so far.
     """
