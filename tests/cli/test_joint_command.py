@@ -199,7 +199,7 @@ def test_a_name_of_a_file_is_no_folder(tmp_path, capsys, name):
         (["--set", "geometry.wire_lenght=0.3"], "did you mean 'joint.geometry.wire_length'"),
         (["--set", "alpha.offset"], "PATH=VALUE"),
         (["--set", "muscle.diameter=-1"], "outside its bounds"),
-        (["--torque", "0"], "positive number"),
+        (["--torque", "0"], "positive torque"),
         (["none.toml"], "does not exist"),
     ],
 )

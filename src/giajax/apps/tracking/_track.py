@@ -838,22 +838,25 @@ def _calls(count: int) -> list[tuple[int, int]]:
     return [(begin, min(_CHUNK, count - begin)) for begin in range(0, count, _CHUNK)]
 
 
+# NumPy takes and joins rows here: JAX would compile a program for each shape.
+
+
 def _some(rows: Any, begin: int, size: int) -> Any:
     """Return the rows of a call, padded to the size of all calls with the last of `size` rows."""
     at = np.minimum(np.arange(begin, begin + _CHUNK), begin + size - 1)
-    return jax.tree.map(lambda leaf: leaf[at], rows)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[at]), rows)
 
 
 def _first(rows: Any, size: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[:size], rows)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:size]), rows)
 
 
 def _row(rows: Any, index: int) -> Any:
-    return jax.tree.map(lambda leaf: leaf[index], rows)
+    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), rows)
 
 
 def _joined(parts: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
 
 
 LATELY, FEW = 10.0, 4

@@ -513,7 +513,7 @@ class Stage:
                 # Edges show the depth of walls, which all have one colour. Ground has no edges.
                 self._api.add_line_segments(
                     f"{name}/edges", vertices[brick_edges()], INK,
-                    thickness=_THREAD * self.scale.extent,
+                    thickness=0.5 * _THREAD * self.scale.extent,
                 )  # fmt: skip
 
 
