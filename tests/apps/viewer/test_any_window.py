@@ -158,7 +158,7 @@ def test_a_video_of_the_scene_is_saved(page, tmp_path):
     stem, ending = page.evaluate("window.saved.name").split(".")
     at, start = _STARTS[ending]
     data = bytes(page.evaluate("window.saved.data.slice(0, 64)"))
-    assert stem == "a_lift"
+    assert stem == "giajax_a_lift"
     assert data[at : at + len(start)] == start
     assert page.evaluate("window.saved.data.length") > 500
     assert page.evaluate(f"{button}.textContent") == "record a video"
