@@ -349,7 +349,7 @@ def test_an_end_on_a_bound_can_be_begun_from():
     # A fixed parameter stays at its bound.
     held = set_up(Decay(), recording, free=["amplitude"], begin=WarmStart("decay", values))
     assert float(held.model.decay) == 0.0
-    with pytest.raises(InputError, match="other parameters: there is no parameter 'mass'"):
+    with pytest.raises(InputError, match="different parameters: there is no parameter 'mass'"):
         set_up(Decay(), recording, begin=WarmStart("decay", {"mass": 1.0}))
 
 

@@ -109,7 +109,7 @@ def test_a_journal_is_of_one_hold_out(task):
     task = task.on_top(hold_out=["other"])
     stopped = task.on_top(max_iterations=2).run(journal=folder)
     assert (folder / JOURNAL).exists()
-    with pytest.raises(InputError, match="different: hold_out"):
+    with pytest.raises(InputError, match=r"different settings \(hold_out\)"):
         task.on_top(hold_out=["last"]).run(journal=folder)
     resumed = FitTask.resumed(folder).on_top(max_iterations=50).run(journal=folder)
     assert stopped.status == "not_converged"
