@@ -1,5 +1,6 @@
-"""The arm again, by others: what the tests compare giajax with, and the benchmarks measure it by.
+"""Independent implementations of the arm: references for the tests and the benchmarks.
 
-Not a part of the package: it needs MuJoCo and scipy, which only the `bench` extra installs. The
-tests find it from the root of the project, and so does `python -m benchmarks.NAME` there.
+This folder is not part of the installed package. It needs MuJoCo and CasADi, which only the `bench`
+extra installs. Tests and `python -m benchmarks.NAME` import it if they run in the root folder of
+the project.
 """

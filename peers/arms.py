@@ -1,4 +1,4 @@
-"""The arms and commands that the comparisons are made on."""
+"""Arms, commands and states for comparisons with the independent implementations."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,15 +8,15 @@ from giajax.simulation import Signal, joint_ramps
 
 
 def driven_arm(links: int = 20) -> tuple[Arm, Signal]:
-    """The paper's arm, joints 1 and 2 driven to 30 and 20 deg in 1 s from 0.5 s on."""
+    """Return the paper's arm and a command: joints 1, 2 turn to 30, 20 deg from 0.5 s to 1.5 s."""
     target = {1: float(np.deg2rad(30)), 2: float(np.deg2rad(20))}
     return takeichi_20m(links), joint_ramps(links, target, start=0.5, duration=1.0)
 
 
 def general_arm(links: int, seed: int = 0) -> Arm:
-    """An arm with nothing special about it: no two links, axes or inertias alike, in gravity.
+    """Return a random arm without symmetries: all links, axes and inertias differ; with gravity.
 
-    The transverse inertia is more than half the axial one, as for every body that exists.
+    The transverse moment of inertia is more than half of the axial one, as for every real body.
     """
     random = np.random.default_rng(seed)
 
@@ -46,9 +46,10 @@ def general_arm(links: int, seed: int = 0) -> Arm:
 
 
 def full_arm(links: int, seed: int = 0) -> Arm:
-    """A general arm with every option on: all of the air, buoyancy, masses off the axis, friction.
+    """Return a random arm with all options: air effects, buoyancy, masses off the axis, friction.
 
-    The air is thin where the random links are large, so that no link is carried away by its lift.
+    The density of the air is low, because the random links can be large and their lift would
+    otherwise carry the arm away.
     """
     random = np.random.default_rng(seed + 1)
     plain = general_arm(links, seed)
@@ -97,7 +98,10 @@ def full_arm(links: int, seed: int = 0) -> Arm:
 
 
 def random_states(links: int, count: int, seed: int = 1) -> dict[str, jnp.ndarray]:
-    """Angles, rates, commands and winds of large movements; the leading axis counts states."""
+    """Return random states of large motions: angles, rates, commands and winds.
+
+    The first axis of each array is the index of the state.
+    """
     random = np.random.default_rng(seed)
     return {
         "angles": jnp.asarray(random.uniform(-1.5, 1.5, (count, links))),

@@ -1,4 +1,4 @@
-"""The arm as C code that CasADi generated: its equations, and their derivatives by CasADi."""
+"""C code that CasADi generates for the arm: equations of motion and their derivatives."""
 
 import ctypes
 import tempfile
@@ -16,8 +16,8 @@ from peers.plain_arm import PARAMETERS, command_on_steps
 
 Array = np.ndarray
 
-# Butcher's tableaux: a, b, c. Stability, not accuracy, limits the steps of a stiff arm: so
-# a method of higher order, with more stages, is not offered.
+# Butcher tableaux: a, b, c. The steps of a stiff arm are limited by stability and not by accuracy.
+# A method of higher order, with more stages, would therefore have no advantage.
 TABLEAUX = {
     "RK4": (
         [[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1, 0]],
@@ -33,15 +33,15 @@ TABLEAUX = {
 
 
 class CasadiInC:
-    """An `Arm` as generated C.
+    """`Arm` as generated C code.
 
     Arguments:
-        arm: the arm whose numbers are folded into the code.
-        command: commanded angles over time; only trajectories need it.
+        arm: arm whose numbers become constants of the code.
+        command: commanded angles as a function of time; required only for trajectories.
 
     Raises:
-        CompilerError: no C compiler is there.
-        ValueError: the arm has more than links, springs, dampers and drag at their centres.
+        CompilerError: a C compiler is missing, or the code does not compile.
+        ValueError: the arm has parts other than links, springs, dampers and drag at the centres.
     """
 
     def __init__(self, arm: Arm, command: Signal | None = None) -> None:
@@ -57,20 +57,25 @@ class CasadiInC:
     def ends(
         self, times: Array, step: float, method: str = "RK4", *, parameters: Any = None
     ) -> Array:
-        """Ends of the links at the times, from rest, shape (sample, link, 3).
+        """Return the ends of the links at the times, from rest, shape (sample, link, 3).
 
         Arguments:
-            times: of the samples, from 0, each a whole number of steps, as are the corners.
+            times: times of the samples, from 0, s. Samples and corners of the command must be at
+                multiples of the step.
             step: time step, s.
-            method: one of `TABLEAUX`.
-            parameters: values of the parameters of `PlainArm` in its order; the arm's by default.
+            method: name of a method in `TABLEAUX`.
+            parameters: values of the parameters of `PlainArm`, in its order; the values of the arm
+                by default.
         """
         return self._trajectory(times, step, method, 0, parameters)[:, 0]
 
     def ends_and_jacobian(
         self, times: Array, step: float, method: str = "RK4", *, parameters: Any = None
     ) -> tuple[Array, Array]:
-        """The same, and their derivatives by the parameters: shape (sample, link, 3, parameter)."""
+        """Return the ends of the links and their derivatives with respect to the parameters.
+
+        The derivatives have the shape (sample, link, 3, parameter).
+        """
         found = self._trajectory(times, step, method, len(PARAMETERS), parameters)
         return found[:, 0], np.moveaxis(found[:, 1:], 1, -1)
 
@@ -99,13 +104,13 @@ class CasadiInC:
         return out
 
     def acceleration(self, angles: Array, rates: Array, command: Array) -> Array:
-        """Joint accelerations, rad/s^2."""
+        """Return the joint accelerations, rad/s^2."""
         return self.evaluations(angles, rates, command, loop=1)
 
     def evaluations(self, angles: Array, rates: Array, command: Array, loop: int) -> Array:
-        """So many evaluations of the accelerations, each of which needs the one before."""
+        """Evaluate the accelerations `loop` times; each evaluation depends on the previous one."""
         state = [np.array(x, dtype=float) for x in (angles, rates, command)]
-        # Held here until C has returned: an address keeps no array.
+        # Keep a reference until the C function returns, because an address does not.
         values, found = self._values(None), np.empty(self.count)
         self._library.evaluations(
             ctypes.c_long(self.count),
@@ -120,13 +125,13 @@ class CasadiInC:
 
 
 def _generated(chain: CasadiChain) -> str:
-    """C code of the motion and of the ends of the links, with and without derivatives."""
+    """Return C code for the motion and the ends of the links, with and without derivatives."""
     n, count = chain.count, len(PARAMETERS)
     angles_by, rates_by = casadi.SX.sym("dq", n, count), casadi.SX.sym("dv", n, count)
     inputs = [chain.angles, chain.rates, chain.command, chain.parameters]
     moved = casadi.vertcat(chain.angles, chain.rates, chain.parameters)
     seeds = casadi.vertcat(angles_by, rates_by, casadi.SX.eye(count))
-    # Forward mode, all directions in one sweep; what they share is computed once.
+    # Forward mode with all directions in one sweep computes common expressions only once.
     tangents = casadi.jtimes(chain.accelerations, moved, seeds)
     ends = casadi.vec(chain.ends)
     ends_by = casadi.jtimes(ends, chain.angles, angles_by)

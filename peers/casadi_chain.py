@@ -1,9 +1,10 @@
-"""The paper's arm in CasADi, from scratch: an independent reference, and C code for a peer.
+"""Independent implementation of the paper's arm in CasADi: a reference and a source of C code.
 
 The equations of motion are Featherstone's articulated-body algorithm ("Rigid Body Dynamics
 Algorithms", 2008, table 7.1), written in the frames of the links with 3 x 3 blocks about the
-joints, where giajax adds up spatial inertias in the base frame and factorises a mass matrix.
-CasADi folds the numbers of the chain into the expressions; derivatives are its own.
+joints. In contrast, giajax sums spatial inertias in the base frame and factorises a mass matrix.
+The numbers of the chain become constants of the CasADi expressions, and CasADi computes the
+derivatives.
 """
 
 from typing import Any
@@ -20,7 +21,7 @@ Blocks = tuple[Any, Any, Any]
 
 
 def _sparse(numbers: Any) -> Any:
-    """Numbers as an expression in which zeros take no part."""
+    """Return numbers as a sparse expression, in which zeros cause no computation."""
     return casadi.SX(casadi.sparsify(casadi.DM(numbers)))
 
 
@@ -29,24 +30,24 @@ def _skew(vector: Any) -> Any:
 
 
 def _turn(axis: Array, angle: Any) -> Any:
-    """Rotation about an axis, from the frame after the joint to the one before it."""
+    """Return the rotation about an axis, from the frame after the joint to the frame before it."""
     skew = _skew(axis)
     return casadi.SX.eye(3) + casadi.sin(angle) * skew + (1 - casadi.cos(angle)) * skew @ skew
 
 
 def _mirrored(matrix: Any) -> Any:
-    """A symmetric matrix from its upper half, so that no entry is computed twice."""
+    """Return a symmetric matrix built from its upper half, so no entry is computed twice."""
     return casadi.triu2symm(casadi.triu(matrix))
 
 
 class CasadiChain:
-    """The equations of motion of an `Arm` as CasADi expressions.
+    """Equations of motion of an `Arm` as CasADi expressions.
 
     Arguments:
-        arm: the arm whose numbers are read.
+        arm: arm whose numbers are used.
 
     Raises:
-        ValueError: the arm has more than links, springs, dampers and drag at their centres.
+        ValueError: the arm has parts other than links, springs, dampers and drag at the centres.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -62,7 +63,7 @@ class CasadiChain:
         self._evaluate = casadi.Function("accelerations", inputs, [self.accelerations])
 
     def acceleration(self, angles: Array, rates: Array, command: Array) -> Array:
-        """Joint accelerations, rad/s^2."""
+        """Return the joint accelerations, rad/s^2."""
         values = list(self.plain.parameters.values())
         return np.asarray(self._evaluate(angles, rates, command, values)).ravel()
 
@@ -70,7 +71,7 @@ class CasadiChain:
         return np.array([self.plain.length[i - 1] if i else 0.0, 0.0, 0.0])
 
     def _ends(self) -> Any:
-        """Ends of the links, shape (3, link)."""
+        """Return the ends of the links, shape (3, link)."""
         place, frame, columns = casadi.SX(3, 1), casadi.SX(self._base), []
         for turn, length in zip(self._turns, self.plain.length, strict=True):
             frame = frame @ turn
@@ -79,7 +80,7 @@ class CasadiChain:
         return casadi.horzcat(*columns)
 
     def _torques(self) -> Any:
-        """Of springs and dampers."""
+        """Return the torques of springs and dampers."""
         _, pitch, yaw, damping = casadi.vertsplit(self.parameters)
         stiffness = casadi.vertcat(*(yaw if is_yaw else pitch for is_yaw in self.plain.yaws))
         return stiffness * (self.command - self.angles) - damping * self.rates
@@ -101,7 +102,8 @@ class CasadiChain:
             halves[i] = (turned, moved, size, rest)
             if i == 0:
                 break
-            # What the links from here on are to the one before, were the joint free.
+            # Articulated inertia and bias force that links i to the tip contribute to the link
+            # before them.
             rotary = _mirrored(rotary - turned @ turned.T / size)
             mixed = mixed - turned @ moved.T / size
             mass = _mirrored(mass - moved @ moved.T / size)
@@ -111,7 +113,7 @@ class CasadiChain:
         return self._inwards(motions, halves)
 
     def _outwards(self) -> list[Any]:
-        """Of each link: its Coriolis acceleration, inertia about its joint, and bias force."""
+        """Return the Coriolis acceleration, inertia about its joint and bias force of each link."""
         plain, found = self.plain, []
         turning, velocity = casadi.SX(3, 1), casadi.SX(3, 1)
         for i, turn in enumerate(self._turns):
@@ -134,7 +136,7 @@ class CasadiChain:
             impulse = inertia[1].T @ turning + inertia[2] @ velocity
             middle = _sparse([plain.length[i] / 2, 0.0, 0.0])
             relative = velocity + casadi.cross(turning, middle)
-            # A derivative at rest must be 0, and not 0 / 0.
+            # The added constant makes the derivative at rest 0 instead of 0 / 0.
             speed = casadi.sqrt(casadi.sumsqr(relative) + 1e-24)
             drag = -(self.parameters[0] * plain.per_coefficient[i]) * speed * relative
             moment = casadi.cross(turning, momentum) + casadi.cross(velocity, impulse)
@@ -146,7 +148,7 @@ class CasadiChain:
         return found
 
     def _before(self, i: int, matrix: Blocks, bias: Any) -> tuple[Blocks, Any]:
-        """Inertia and force about a joint, in the frame of the link before it and its joint."""
+        """Transform inertia and bias force to the frame of the previous link, about its joint."""
         turn, shift = self._turns[i], _skew(self._joint_offset(i))
         rotary, mixed, mass = (turn @ each @ turn.T for each in matrix)
         mass = _mirrored(mass)
@@ -156,9 +158,12 @@ class CasadiChain:
         return (rotary, moved, mass), (moment + shift @ push, push)
 
     def _inwards(self, motions: list[Any], halves: list[Any]) -> Any:
-        """From the base to the tip: acceleration of each joint from that of the link before."""
+        """Return the joint accelerations, computed from the base to the tip.
+
+        The acceleration of each joint follows from the acceleration of the previous link.
+        """
         turned_by = casadi.SX(3, 1)
-        # The base falls upwards instead of every link downwards.
+        # An upward acceleration of the base replaces gravity on every link.
         falls = _sparse(self._base.T @ [0, 0, self.plain.gravity])
         found = []
         for i, turn in enumerate(self._turns):

@@ -1,4 +1,4 @@
-"""C sources compiled where they are used, by the compiler that the machine has."""
+"""Compile C sources at run time with the C compiler of the machine."""
 
 import ctypes
 import shutil
@@ -7,13 +7,13 @@ import tempfile
 from pathlib import Path
 
 SOURCES = Path(__file__).resolve().parent
-# Times with -O1, -O2 and -ffast-math differed by less than the noise of a busy machine, which put
-# them in another order for each method; -O3 was not timed beside them.
+# The times with -O1, -O2 and -ffast-math differed by less than the timing noise of a busy machine,
+# and their order varied between the methods. -O3 was not included in this comparison.
 FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 
 
 class CompilerError(RuntimeError):
-    """A peer in C cannot be made; the message is a sentence that says why."""
+    """A C library cannot be built; the message is a sentence that gives the reason."""
 
 
 class NoCompilerError(CompilerError):
@@ -21,15 +21,15 @@ class NoCompilerError(CompilerError):
 
 
 def compiled(source: Path, *arguments: str) -> ctypes.CDLL:
-    """A C source as a library of this process; nothing of it stays on disk.
+    """Compile a C source and load it as a library; no file remains on disk.
 
     Arguments:
-        source: the file.
-        arguments: what else the compiler is told, such as `-I` and libraries.
+        source: C source file.
+        arguments: further arguments for the compiler, such as `-I` and libraries.
 
     Raises:
-        NoCompilerError: no C compiler is there.
-        CompilerError: it refuses the source, or the system refuses the library.
+        NoCompilerError: the machine has no C compiler.
+        CompilerError: the source does not compile, or the library cannot be loaded.
     """
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
@@ -47,5 +47,5 @@ def compiled(source: Path, *arguments: str) -> ctypes.CDLL:
 
 
 def address(array: object) -> ctypes.c_void_p:
-    """Where the numbers of a contiguous array are, for a C function."""
+    """Return the address of the data of a contiguous array, for a C function."""
     return ctypes.c_void_p(array.ctypes.data)  # type: ignore[attr-defined]

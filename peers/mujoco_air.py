@@ -1,15 +1,17 @@
-"""The arm in MuJoCo with what MuJoCo does not have: added mass, and joints with memory.
+"""The arm in MuJoCo, extended by two effects that MuJoCo lacks: added mass and joint hysteresis.
 
-Kinematics, masses, gravity and velocity terms are MuJoCo's, drag and lift those of
-`peers.mujoco_chain`. The air that a link moves across itself is a rod of mass m = C_a rho V with
-inertia across the link alone; with e its direction, w its velocity through the air and P, L the
-impulse and its couple about the centre,
+MuJoCo computes kinematics, masses, gravity and velocity-dependent inertial terms.
+`peers.mujoco_chain` adds drag and lift. The air that a link displaces in transverse motion is
+modelled as a rod of mass m = C_a rho V whose inertia acts only in transverse directions. Let e be
+the direction of the link, w its velocity relative to the air, P the impulse of this air and L its
+angular impulse about the centre. Then
 
     P = m (w - (e.w) e),    L = J (omega - (e.omega) e),    J = m l^2 / 12,
     F = -dP/dt + rho V du/dt,    couple = -(dL/dt + w x P).
 
-Projected on the joints by Jacobians, the terms with joint accelerations are added to MuJoCo's mass
-matrix. Friction of a joint follows Dahl, dz/dt = s (rate - z |rate| / F), and z is its torque.
+These forces are projected onto the joints with Jacobians. The terms that contain joint
+accelerations are added to MuJoCo's mass matrix. The joint friction follows Dahl's model,
+dz/dt = s (rate - z |rate| / F), where z is the friction torque.
 """
 
 import dataclasses
@@ -26,14 +28,14 @@ Array = np.ndarray
 
 
 class MujocoInAir:
-    """An `Arm` with added mass in MuJoCo, integrated by a Runge-Kutta method of fourth order.
+    """`Arm` with added mass in MuJoCo, integrated by a Runge-Kutta method of fourth order.
 
     Arguments:
-        arm: the arm whose numbers are read.
-        command: commanded angles over time.
-        wind: velocity of the air over time, without jumps; still air by default.
-        friction: strength of Dahl's friction in every joint, N m; 0 for none.
-        friction_stiffness: of the friction, N m/rad.
+        arm: arm whose numbers are used.
+        command: commanded angles as a function of time.
+        wind: continuous velocity of the air as a function of time; still air by default.
+        friction: strength of Dahl's friction in every joint, N m; 0 disables the friction.
+        friction_stiffness: initial stiffness of the friction, N m/rad.
     """
 
     def __init__(
@@ -61,7 +63,7 @@ class MujocoInAir:
         self._has_added_mass = coefficient is not None
         steady = arm.air.wind
         self._steady = np.zeros(3) if steady is None else np.asarray(steady, dtype=float)
-        # Joint k moves link i where k <= i.
+        # Joint k moves link i if k <= i.
         self._moves = np.tril(np.ones((arm.count, arm.count)))[:, :, None]
 
     def acceleration(
@@ -73,7 +75,7 @@ class MujocoInAir:
         wind_rate: Array | None = None,
         torque: Array | float = 0.0,
     ) -> Array:
-        """Joint accelerations, rad/s^2; `torque` acts on the joints, N m."""
+        """Return the joint accelerations, rad/s^2; `torque` is a torque on the joints, N m."""
         wind = np.zeros(3) if wind is None else wind
         wind_rate = np.zeros(3) if wind_rate is None else wind_rate
         self.chain.acceleration(angles, rates, command, wind)
@@ -90,17 +92,18 @@ class MujocoInAir:
         return np.linalg.solve(mass, force)
 
     def _of_the_air(self, rates: Array, wind: Array, wind_rate: Array) -> tuple[Array, Array]:
-        """What the air's inertia adds to the mass matrix and to the forces of the joints."""
+        """Return the contributions of the added mass to the mass matrix and the joint torques."""
         data = self.chain.data
         axis, anchor = data.xaxis, data.xanchor
         e = data.xmat[self.chain._bodies, ::3]
         arms = data.site_xpos - anchor
-        # From one joint to the next, which moves with the link before it.
+        # Vectors from the previous joint to each joint. They move with the link between the two.
         steps = np.diff(anchor, axis=0, prepend=anchor[:1])
         omega = np.cumsum(axis * rates[:, None], axis=0)
         before = np.concatenate([np.zeros((1, 3)), omega[:-1]])
         velocity = np.cumsum(cross(before, steps), axis=0) + cross(omega, arms)
-        # Accelerations at rates that do not change: axes turn with the link before them.
+        # Accelerations at constant joint rates. A joint axis rotates with the link before the
+        # joint.
         alpha = np.cumsum(cross(before, axis) * rates[:, None], axis=0)
         alpha_before = np.concatenate([np.zeros((1, 3)), alpha[:-1]])
         of_anchor = cross(alpha_before, steps) + cross(before, cross(before, steps))
@@ -114,7 +117,7 @@ class MujocoInAir:
             return vector - np.sum(e * vector, axis=-1, keepdims=True) * e
 
         def turned(vector: Array) -> Array:
-            """What the turning of the link takes from the part of a vector across it."""
+            """Return the rate at which the link's rotation changes the axial part of a vector."""
             along, along_rate = np.sum(e * vector, axis=1), np.sum(e_rate * vector, axis=1)
             return along_rate[:, None] * e + along[:, None] * e_rate
 
@@ -129,7 +132,11 @@ class MujocoInAir:
         return self._inertia_matrix(moving, turning, e), on_joints
 
     def _inertia_matrix(self, moving: Array, turning: Array, e: Array) -> Array:
-        """Of the rods, from how each joint (second axis) moves and turns each link (first)."""
+        """Return the mass matrix of the rods.
+
+        `moving` and `turning` are the velocity and the angular velocity of each link (first axis)
+        for a unit rate of each joint (second axis).
+        """
         total = np.zeros((self.count, self.count))
         for weight, by_joint in ((self._mass, moving), (self._inertia, turning)):
             along = (by_joint @ e[:, :, None]) * e[:, None]
@@ -138,11 +145,11 @@ class MujocoInAir:
         return total
 
     def trajectory(self, times: Array, step: float) -> Array:
-        """Angles and rates at the times, shape (sample, 2, joint), from rest.
+        """Return the angles and rates at the times, from rest, shape (sample, 2, joint).
 
         Arguments:
-            times: each a whole number of steps after the first.
-            step: time step, s; corners of the command and the wind must fall on steps too.
+            times: times of the samples, s; each must be a whole number of steps after the first.
+            step: time step, s; it must also divide the times of the corners of command and wind.
         """
         times = np.asarray(times, dtype=float)
         samples = _whole((times - times[0]) / step, "times")
@@ -166,7 +173,7 @@ class MujocoInAir:
         return out
 
     def places(self, angles: Array) -> tuple[Array, Array]:
-        """Centres of the links, m, shape (sample, link, 3), and the tip, shape (sample, 3)."""
+        """Return the link centres, m, shape (sample, link, 3), and the tip, shape (sample, 3)."""
         model, data = self.chain.model, self.chain.data
         centres, tips = [], []
         for row in angles:

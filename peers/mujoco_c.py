@@ -1,8 +1,8 @@
-"""The arm in MuJoCo with its drag in compiled C: MuJoCo at its fastest.
+"""The arm in MuJoCo with its drag in compiled C, which is the fastest way to use MuJoCo.
 
-The same MJCF as `peers.mujoco_chain`, whose callback is Python; here it is C, and so is the loop
-over the steps. Only what the paper's arm has is offered: drag at the centres of the links with a
-constant C_D, in still air, and no more forces than springs and dampers.
+The MJCF is the same as in `peers.mujoco_chain`. The force callback and the loop over the steps are
+in C instead of Python. Only the effects in the model of the paper are available: springs, dampers,
+and drag at the centres of the links with a constant C_D, in still air.
 """
 
 import ctypes
@@ -35,20 +35,20 @@ def _library() -> ctypes.CDLL:
     return library
 
 
-# As many as the C source has room for.
+# Size of the arrays of threads in the C source.
 _MOST_THREADS = 64
 
 
 class MujocoInC:
-    """An `Arm` in MuJoCo, driven from C.
+    """`Arm` in MuJoCo, simulated by a C program.
 
     Arguments:
-        arm: the arm whose numbers are read.
-        command: commanded angles over time; only `ends` needs it.
+        arm: arm whose numbers are used.
+        command: commanded angles as a function of time; required only for `ends`.
 
     Raises:
-        CompilerError: no C compiler is there.
-        ValueError: the arm has more than this offers.
+        CompilerError: a C compiler is missing, or the code does not compile.
+        ValueError: the arm has parts other than links, springs, dampers and drag at the centres.
     """
 
     def __init__(self, arm: Arm, command: Signal | None = None) -> None:
@@ -63,7 +63,7 @@ class MujocoInC:
         self._data = self._new_data()
 
     def set_parameters(self, values: Mapping[str, float]) -> None:
-        """Other values of some of the parameters of `PlainArm`, in place."""
+        """Change some of the parameters of `PlainArm` in place."""
         self._parameters = {**self._parameters, **values}
         plain = self.plain.stiffness_and_damping(self._parameters)
         self.model.jnt_stiffness[:], self.model.dof_damping[:] = plain
@@ -81,10 +81,13 @@ class MujocoInC:
         return data
 
     def ends(self, times: Array, step: float) -> Array:
-        """Ends of the links at the times, from rest, shape (sample, link, 3), by MuJoCo's RK4.
+        """Return the ends of the links at the times, from rest, shape (sample, link, 3).
+
+        The integrator is MuJoCo's RK4.
 
         Arguments:
-            times: of the samples, from 0, each a whole number of steps, as are the corners.
+            times: times of the samples, from 0, s. Samples and corners of the command must be at
+                multiples of the step.
             step: time step, s.
         """
         assert self.command is not None
@@ -93,7 +96,7 @@ class MujocoInC:
         self._set_constants(self._data)
         self.model.opt.timestep = step
         out = np.empty((len(times), self.count, 3))
-        # Warnings are counted in `data.warning`, and would else go to a file.
+        # MuJoCo counts warnings in `data.warning`. By default, it also writes them to a file.
         mujoco.set_mju_user_warning(_silent)
         done = self._library.trajectory(
             ctypes.c_void_p(self.model._address),
@@ -112,17 +115,17 @@ class MujocoInC:
         return out
 
     def acceleration(self, angles: Array, rates: Array, command: Array) -> Array:
-        """Joint accelerations, rad/s^2."""
+        """Return the joint accelerations, rad/s^2."""
         return self.batch(angles[None], rates[None], command[None], threads=1)[0]
 
     def evaluations(self, angles: Array, rates: Array, command: Array, loop: int) -> None:
-        """So many evaluations of the accelerations, each of which needs the one before."""
+        """Evaluate the accelerations `loop` times; each evaluation depends on the previous one."""
         self.batch(angles[None], rates[None], command[None], threads=1, loop=loop)
 
     def batch(
         self, angles: Array, rates: Array, commands: Array, *, threads: int, loop: int = 1
     ) -> Array:
-        """Joint accelerations of many states, shape (item, joint), each `loop` times over."""
+        """Return the accelerations of many states, (item, joint), each evaluated `loop` times."""
         if not 1 <= threads <= _MOST_THREADS:
             raise ValueError(f"{threads} threads: give 1 to {_MOST_THREADS}")
         states = [np.ascontiguousarray(x, dtype=float) for x in (angles, rates, commands)]
@@ -141,4 +144,4 @@ class MujocoInC:
 
 
 def _silent(_: str) -> None:
-    """Nothing is said of a state that went bad."""
+    """Ignore a warning, for example about an unstable state."""

@@ -1,10 +1,10 @@
-"""The arm again, in MuJoCo: an independent reference for the tests, a peer for the benchmark.
+"""Independent implementation of the arm in MuJoCo: a reference for the tests and the benchmarks.
 
-The chain is an MJCF string made from the numbers of a giajax `Arm`. Springs (about zero), dampers,
-armature and everything with a mass are MuJoCo's own; the commanded angle, the drag of the paper's
-eq. (1) or that along the links, the lift of the air and friction enter through the passive-force
-callback, in Python, as a MuJoCo user would add a force that MuJoCo does not have. Added mass and a
-C_D that depends on the Reynolds number are not offered here.
+The chain is an MJCF string with the numbers of a giajax `Arm`. MuJoCo computes the springs (with a
+rest angle of zero), dampers, armature and all bodies with a mass. The passive-force callback, which
+is in Python, adds the effects that MuJoCo lacks: the commanded angle, the drag of the paper's
+eq. (1) or the drag along the links, the lift and the joint friction. Added mass and a C_D that
+depends on the Reynolds number are not available here.
 """
 
 from collections.abc import Callable, Iterator
@@ -23,7 +23,7 @@ Array = np.ndarray
 
 
 def mjcf(arm: Arm) -> str:
-    """The arm as MJCF: one body, one hinge and one site (the link's centre) for each link."""
+    """Return the arm as MJCF: one body, one hinge and one site (the link centre) per link."""
     links = arm.links
     quaternion = Rotation.from_rotvec(np.array(arm.base_rotation)).as_quat(scalar_first=True)
     stiffness = np.asarray(arm.joints.stiffness).tolist()
@@ -55,13 +55,13 @@ def mjcf(arm: Arm) -> str:
 
 
 def _carried(arm: Arm, i: int) -> str:
-    """Helium, trim weight and point masses of a link, as bodies that are fixed to it."""
+    """Return the helium, trim weight and point masses of a link as bodies fixed to it."""
     bodies = []
     if arm.buoyancy is not None:
         held, count = arm.buoyancy, arm.count
         length, diameter = float(arm.links.length[i]), float(arm.links.diameter[i])
         helium = float(held.helium_density * arm.links.volume[i])
-        # A cylinder that does not spin about its own axis.
+        # The helium is a cylinder that does not rotate about its own axis, so this inertia is 0.
         across = helium * (length**2 / 12 + diameter**2 / 16)
         bodies.append((helium, (length / 2, 0.0, 0.0), (0.0, across, across)))
         depth = _each(held.trim_depth, count)[i]
@@ -82,7 +82,7 @@ def _carried(arm: Arm, i: int) -> str:
 
 
 def _each(values: Any, count: int) -> list[float]:
-    """One number for each; zeros for what the arm leaves out."""
+    """Return one number per element; zeros if the arm does not have the property."""
     return np.broadcast_to(0.0 if values is None else np.asarray(values), (count,)).tolist()
 
 
@@ -91,19 +91,20 @@ def _numbers(*values: float) -> str:
 
 
 class MujocoChain:
-    """An `Arm` in MuJoCo.
+    """`Arm` in MuJoCo.
 
     Arguments:
-        arm: the arm whose numbers are read.
-        command: commanded angles over time; only `trajectory` needs it.
-        wind: velocity of the air over time; still air by default.
+        arm: arm whose numbers are used.
+        command: commanded angles as a function of time; required only for `trajectory`.
+        wind: velocity of the air as a function of time; still air by default.
     """
 
     def __init__(self, arm: Arm, command: Signal | None = None, wind: Signal | None = None) -> None:
         self.count = arm.count
         self.model = mujoco.MjModel.from_xml_string(mjcf(arm))
         self.data = mujoco.MjData(self.model)
-        # A slice where it can be one: the links alone, without the bodies fixed to them.
+        # Indices of the links, without the bodies that are fixed to them: a slice if possible,
+        # otherwise an array.
         self._bodies: Any = slice(1, None)
         if self.model.nbody > 1 + arm.count:
             names = (f"link{link}" for link in range(1, arm.count + 1))
@@ -136,9 +137,9 @@ class MujocoChain:
 
     @contextmanager
     def forces(self) -> Iterator[None]:
-        """While this lasts, MuJoCo asks for the spring's commands and the drag."""
-        # Callbacks are global to MuJoCo: leave them as they were found. Its warnings are counted
-        # in `data.warning`, and would else go to a file in the working directory.
+        """Return a context in which MuJoCo calls `_passive` for the additional forces."""
+        # The callbacks of MuJoCo are global, so they are removed at the end. MuJoCo counts warnings
+        # in `data.warning`. By default, it also writes them to a file in the working directory.
         mujoco.set_mjcb_passive(self._passive)
         mujoco.set_mju_user_warning(lambda _: None)
         try:
@@ -148,10 +149,11 @@ class MujocoChain:
             mujoco.set_mju_user_warning(None)
 
     def _passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Add k * command, the forces of the air and friction to the passive torques.
+        """Add k * command, the forces of the air and the friction to the passive torques.
 
-        MuJoCo keeps velocities `cvel` and joint axes `cdof` as spatial vectors (turning, then
-        translation) about the centre of mass of the whole chain, which saves twenty Jacobians.
+        MuJoCo stores velocities `cvel` and joint axes `cdof` as spatial vectors (rotation, then
+        translation) about the centre of mass of the whole chain. With these vectors, the method
+        needs no Jacobians of the links.
         """
         centre = data.site_xpos - data.subtree_com[1]
         wind = self._wind_now(data.time) if self._wind_now is not None else None
@@ -172,13 +174,16 @@ class MujocoChain:
         data.qfrc_passive[:] += self._stiffness * self._command_now(data.time) + torque
 
     def _velocity(self, data: mujoco.MjData, offset: Array, wind: Array | None) -> Array:
-        """Velocity of a point of each link relative to the air."""
+        """Return the velocity of one point of each link relative to the air."""
         spatial = data.cvel[self._bodies]
         velocity = spatial[:, 3:] + cross(spatial[:, :3], offset)
         return velocity if wind is None else velocity - wind
 
     def _along_the_links(self, data: mujoco.MjData, centre: Array, wind: Array | None) -> Array:
-        """Cross-flow drag at the Gauss points of each link, and the axial drag at its centre."""
+        """Return the wrenches of the drag along the links.
+
+        The cross-flow drag acts at the Gauss points of each link, and the axial drag at its centre.
+        """
         assert self._strip is not None
         direction = data.xmat[self._bodies, ::3]
         slip = np.einsum("ij,ij->i", self._velocity(data, centre, wind), direction)
@@ -196,7 +201,7 @@ class MujocoChain:
     def acceleration(
         self, angles: Array, rates: Array, command: Array, wind: Array | None = None
     ) -> Array:
-        """Joint accelerations, rad/s^2."""
+        """Return the joint accelerations, rad/s^2."""
         self._command_now = lambda _: command
         self._wind_now = None if wind is None else (lambda _: wind)
         self.data.qpos[:], self.data.qvel[:] = angles, rates
@@ -207,11 +212,13 @@ class MujocoChain:
     def trajectory(
         self, times: Array, step: float, *, initial: tuple[Array, Array] | None = None
     ) -> Array:
-        """Angles and rates at the times, shape (sample, 2, joint), by MuJoCo's RK4.
+        """Return the angles and rates at the times, shape (sample, 2, joint).
+
+        The integrator is MuJoCo's RK4.
 
         Arguments:
-            times: each a whole number of steps after the first.
-            step: time step, s; corners of the command and the wind must fall on steps too.
+            times: times of the samples, s; each must be a whole number of steps after the first.
+            step: time step, s; it must also divide the times of the corners of command and wind.
             initial: angles and rates at the first time; straight and at rest by default.
         """
         assert self.command is not None
@@ -231,13 +238,14 @@ class MujocoChain:
         sample = 1
         with self.forces():
             for done in range(counts[-1]):
-                # Count steps instead of adding them up, or the corners drift off the steps.
+                # A sum of time steps would accumulate rounding errors, and the corners would no
+                # longer coincide with steps.
                 data.time = times[0] + done * step
                 middle = data.time + step / 2
                 self._command_now = self.command.piece(middle)
                 self._wind_now = None if self.wind is None else self.wind.piece(middle)
                 mujoco.mj_step(model, data)
-                # MuJoCo starts again from the initial state after an overflow, and goes on.
+                # After an overflow, MuJoCo resets the state and continues.
                 if data.warning.number.any():
                     raise FloatingPointError(f"MuJoCo is unstable with a step of {step:g} s")
                 if done + 1 == counts[sample]:

@@ -1,4 +1,4 @@
-"""Contact of inflated links in MuJoCo: its own distances, and the penalty by its force callback."""
+"""Contact of inflated links in MuJoCo, with its distances and a penalty force in its callback."""
 
 from typing import Any
 
@@ -10,17 +10,17 @@ from giajax.mechanics.arm import Arm
 from giajax.simulation import Signal
 from peers.mujoco_chain import Array, MujocoChain
 
-# Points of a link's axis at which MuJoCo is asked for the distance: a plain sum, no Gauss points.
+# Number of equally spaced points on the axis of a link at which MuJoCo computes the distance.
 POINTS = 200
 
 
 class MujocoContact(MujocoChain):
-    """An `Arm` in MuJoCo among boxes.
+    """`Arm` in MuJoCo in contact with boxes.
 
     Arguments:
-        arm: the arm, without friction along obstacles.
-        boxes: centre (m), half sizes (m) and rotation vector (rad) of each.
-        command: commanded angles over time.
+        arm: arm without friction at obstacles.
+        boxes: centre (m), half sizes (m) and rotation vector (rad) of each box.
+        command: commanded angles as a function of time.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class MujocoContact(MujocoChain):
         return wrench
 
     def _distance(self, probe: int, box: int, x: Array, most: float, last: Array) -> float:
-        """From a point of an axis to a box; `last` becomes both ends of the way."""
+        """Return the distance from a point to a box; `last` receives the two nearest points."""
         self._scene_data.geom_xpos[probe] = x
         found = mujoco.mj_geomDistance(self._scene, self._scene_data, probe, box, most, last)
         return found + 0.001

@@ -1,4 +1,4 @@
-"""The numbers of the paper's arm, for the peers in C: nothing but a chain, springs and drag."""
+"""Numbers of the paper's arm for the C implementations: a chain, springs, dampers and drag."""
 
 from collections.abc import Mapping
 
@@ -18,10 +18,10 @@ DRAG, PITCH, YAW, DAMPING = PARAMETERS = (
 
 
 class PlainArm:
-    """An `Arm` of links, springs, dampers and drag at the centres of the links, as numbers.
+    """Numbers of an `Arm` with links, springs, dampers and drag at the centres of the links.
 
     Raises:
-        ValueError: the arm has more than that.
+        ValueError: the arm has other parts.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -53,7 +53,7 @@ class PlainArm:
         self.base_rotation = np.array(arm.base_rotation, dtype=float)
         self.gravity = float(arm.gravity)
         self.yaws = np.abs(self.axes[:, 2]) > np.sqrt(0.5)
-        # 1/2 rho L d: what C_D |V| V is multiplied by.
+        # 1/2 rho L d, the factor of C_D |V| V.
         self.per_coefficient = (
             0.5 * float(arm.air.density) * np.asarray(links.length * links.diameter, dtype=float)
         )
@@ -65,26 +65,26 @@ class PlainArm:
         }
 
     def drag_factor(self, parameters: Mapping[str, float]) -> Array:
-        """1/2 rho C_D L d of each link, N s^2/m^2."""
+        """Return 1/2 rho C_D L d of each link, N s^2/m^2."""
         return parameters[DRAG] * self.per_coefficient
 
     def stiffness_and_damping(self, parameters: Mapping[str, float]) -> tuple[Array, Array]:
-        """Stiffness, N m/rad, and damping, N m s/rad, of each joint."""
+        """Return the stiffness, N m/rad, and the damping, N m s/rad, of each joint."""
         stiffness = np.where(self.yaws, parameters[YAW], parameters[PITCH])
         return stiffness, np.full(self.count, parameters[DAMPING])
 
 
 def command_on_steps(command: Signal, times: Array, step: float) -> tuple[Array, Array, Array]:
-    """Samples and the corners of a command, counted in steps from 0, and its lines.
+    """Return the step numbers of samples and corners, and the line segments of a command.
 
     Returns:
-        The steps at which samples lie; those at which lines begin; and the lines themselves, of
-        shape (line, 2, joint): value at the corner, and slope.
+        Step numbers of the samples, counted from 0; step numbers at which line segments begin; the
+        line segments, shape (line, 2, joint), each with its value at the corner and its slope.
     """
     knots, values, slopes = (
         np.asarray(x, dtype=float) for x in (command.times, command.values, command.slopes)
     )
-    # Before its first knot a command holds its first value.
+    # Before its first knot, a command has its first value.
     first = np.stack([values[0], np.zeros_like(values[0])])[None]
     lines = np.concatenate([first, np.stack([values, slopes], axis=1)])
     later = knots > 0

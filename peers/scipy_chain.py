@@ -1,11 +1,12 @@
-"""The arm again, in numpy and scipy: an independent reference for the tests, a peer for the bench.
+"""Independent implementation of the arm in numpy and scipy: a reference for tests and benchmarks.
 
-Nothing of giajax's mechanics is used, only the numbers of its `Arm` and its `Signal`. The equations
-of motion are projected on the joints by Jacobians (Kane's form),
+It uses the numbers of the giajax classes `Arm` and `Signal`, but no other part of giajax. The
+equations of motion are projected onto the joints with Jacobians (Kane's form),
 
     M = sum_i m_i Jv_i' Jv_i + Jw_i' I_i Jw_i,
 
-where giajax adds spatial inertias about the base origin; rotations are matrices, not quaternions.
+whereas giajax sums spatial inertias about the base origin. Rotations are represented by matrices
+instead of quaternions.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,7 +25,10 @@ Array = np.ndarray
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Vector product over the last axis; `numpy.cross` takes ten times as long on small arrays."""
+    """Return the vector product over the last axis.
+
+    For small arrays, `numpy.cross` takes ten times as long.
+    """
     c = np.empty(np.broadcast_shapes(a.shape, b.shape))
     c[..., 0] = a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1]
     c[..., 1] = a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2]
@@ -33,7 +37,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 class NumpySignal:
-    """A `Signal` read as numpy arrays, and evaluated on one side of a jump by choice."""
+    """`Signal` as numpy arrays, which can be evaluated on either side of a jump."""
 
     def __init__(self, signal: Signal) -> None:
         self.times, self.values, self.slopes = (
@@ -41,7 +45,7 @@ class NumpySignal:
         )
 
     def piece(self, time: float) -> Callable[[float], Array]:
-        """The straight line that the signal follows around a time inside a piece."""
+        """Return the straight line of the signal on the piece that contains a given time."""
         knot = int(np.searchsorted(self.times, time, side="right")) - 1
         if knot < 0:
             first = self.values[0]
@@ -53,7 +57,7 @@ class NumpySignal:
 def pieces(
     t0: float, t1: float, signals: tuple[NumpySignal, ...]
 ) -> Iterator[tuple[float, float, tuple[Callable[[float], Array], ...]]]:
-    """Split a span at the corners of the signals: start, end and the straight line of each."""
+    """Split a time span at the corners of the signals; yield start, end and lines of each piece."""
     corners = np.unique(np.concatenate([[t0, t1], *(signal.times for signal in signals)]))
     corners = corners[(corners >= t0) & (corners <= t1)]
     for start, end in pairwise(corners.tolist()):
@@ -62,12 +66,12 @@ def pieces(
 
 
 class ScipyChain:
-    """The equations of motion of an `Arm` in numpy.
+    """Equations of motion of an `Arm` in numpy.
 
     Arguments:
-        arm: the arm whose numbers are read.
-        command: commanded angles over time; only `trajectory` needs it.
-        wind: velocity of the air over time; still air by default.
+        arm: arm whose numbers are used.
+        command: commanded angles as a function of time; required only for `trajectory`.
+        wind: velocity of the air as a function of time; still air by default.
     """
 
     def __init__(self, arm: Arm, command: Signal | None = None, wind: Signal | None = None) -> None:
@@ -99,7 +103,7 @@ class ScipyChain:
             self.length * self.diameter
         )
         self._before = np.tril(np.ones((self.count, self.count)))[:, :, None]
-        # Rodrigues' formula, with the fixed part of each axis worked out once.
+        # Constant matrices of Rodrigues' formula for each axis.
         self._skew = np.zeros((self.count, 3, 3))
         x, y, z = self.axes.T
         self._skew[:, 0, 1], self._skew[:, 0, 2], self._skew[:, 1, 2] = -z, y, -x
@@ -107,7 +111,7 @@ class ScipyChain:
         self._skew_square = self._skew @ self._skew
 
     def orientations(self, angles: Array) -> Array:
-        """Rotation matrix of each link, shape (link, 3, 3)."""
+        """Return the rotation matrix of each link, shape (link, 3, 3)."""
         turns = (
             np.eye(3)
             + np.sin(angles)[:, None, None] * self._skew
@@ -120,7 +124,7 @@ class ScipyChain:
         return orientations
 
     def tip(self, angles: Array) -> Array:
-        """Position of the tip for angles of shape (joint,) or (sample, joint)."""
+        """Return the position of the tip for angles of shape (joint,) or (sample, joint)."""
         if angles.ndim == 2:
             return np.array([self.tip(row) for row in angles])
         return self.length @ self.orientations(angles)[:, :, 0]
@@ -128,10 +132,10 @@ class ScipyChain:
     def acceleration(
         self, angles: Array, rates: Array, command: Array, wind: Array | None = None
     ) -> Array:
-        """Joint accelerations, rad/s^2."""
+        """Return the joint accelerations, rad/s^2."""
         orientations = self.orientations(angles)
         along = orientations[:, :, 0]
-        # An axis is the same vector in the frames of both links that it joins.
+        # A joint axis has the same components in the frames of both adjacent links.
         axis = np.einsum("jab,jb->ja", orientations, self.axes)
         span = self.length[:, None] * along
         joint = np.cumsum(span, axis=0) - span
@@ -146,7 +150,7 @@ class ScipyChain:
         spin = self._inertia_times(along, omega)
         bias_moment = self._inertia_times(along, alpha) + cross(omega, spin)
 
-        # [link, joint, component]: velocity of a point of the link for a unit rate of the joint.
+        # Index [link, joint, component]: velocity of a point of the link per unit joint rate.
         to_joint = self._before * cross(axis[None], joint[:, None] - joint[None])
         sweep = self._before * cross(axis[None], along[:, None])
         mass_jacobian = to_joint + self.mass_centre[:, None, None] * sweep
@@ -183,7 +187,7 @@ class ScipyChain:
         rtol: float = 1e-10,
         atol: float = 1e-10,
     ) -> Array:
-        """Angles and rates at the times, shape (sample, 2, joint), by `solve_ivp`."""
+        """Return the angles and rates at the times, shape (sample, 2, joint), by `solve_ivp`."""
         assert self.command is not None
         n = self.count
         state = np.zeros(2 * n) if initial is None else np.concatenate(initial)
@@ -214,5 +218,5 @@ class ScipyChain:
 
 
 def _by_joint(jacobian: Array) -> Array:
-    """(link, joint, 3) -> (joint, 3 link)."""
+    """Reshape an array from (link, joint, 3) to (joint, 3 link)."""
     return jacobian.transpose(1, 0, 2).reshape(jacobian.shape[1], -1)

@@ -18,7 +18,7 @@ class CoffeeFilter(giajax.AbstractModel):
     kind = "coffee_filter"
     channels = (ChannelKind("height", "height", "length", "output"),)
 
-    release: jax.Array = parameter(2.0, unit="m", frozen=False, doc="height of its release")
+    release: jax.Array = parameter(2.0, unit="m", frozen=False, doc="release height")
     speed: jax.Array = parameter(1.0, unit="m/s", lower=0, frozen=False, doc="terminal speed")
 
     def prepare(self, run):

@@ -16,7 +16,9 @@ class FullnessDrag(AbstractDragLaw):
     coefficient: jax.Array = parameter(
         1.0, unit="", lower=0, frozen=False, doc="C_D of a full link at Re = 1e5"
     )
-    limp: jax.Array = parameter(0.5, unit="", lower=0, upper=10, doc="more of C_D, of an empty one")
+    limp: jax.Array = parameter(
+        0.5, unit="", lower=0, upper=10, doc="relative increase of C_D of an empty link"
+    )
     points = 3
 
     def force(self, stream):

@@ -15,10 +15,10 @@ class HardeningJoint(AbstractJointLaw):
     """Fabric that is slack up to an angle; beyond it, its torque is quadratic in the excess."""
 
     strength: jax.Array = parameter(
-        1.0, unit="N m/rad^2", lower=0, frozen=False, doc="pull of the taut fabric"
+        1.0, unit="N m/rad^2", lower=0, frozen=False, doc="torque coefficient of the taut fabric"
     )
-    loss: jax.Array = parameter(0.2, unit="s", lower=0, upper=10, doc="of the pull, by the rate")
-    slack: jax.Array = parameter(0.1, unit="rad", lower=0, upper=1, doc="angle where it is taut")
+    loss: jax.Array = parameter(0.2, unit="s", lower=0, upper=10, doc="damping per unit of torque")
+    slack: jax.Array = parameter(0.1, unit="rad", lower=0, upper=1, doc="slack angle of the fabric")
 
     def beyond(self, at):
         return jnp.maximum(jnp.abs(at.angles) - self.slack, 0)

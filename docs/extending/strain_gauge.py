@@ -16,9 +16,9 @@ class StrainGauge(AbstractSensor):
     channel = ChannelKind("strain", "gaugeNN", "ratio", "output")
 
     gain: jax.Array = parameter(
-        1e-3, unit="1/(N m)", lower=0, frozen=False, doc="strain of a torque of 1 N m"
+        1e-3, unit="1/(N m)", lower=0, frozen=False, doc="strain per unit of torque"
     )
-    zero: jax.Array = parameter(0.0, unit="", optional=True, doc="strain without a torque")
+    zero: jax.Array = parameter(0.0, unit="", optional=True, doc="strain at zero torque")
 
     def values(self, motion):
         strain = self.gain * motion.torques

@@ -13,7 +13,7 @@ from giajax.schema.parameters import parameter
 class SphereDrag(AbstractDragLaw):
     """Drag of a sphere, for a link as long as it is wide, based on the sphere's frontal area."""
 
-    coefficient: jax.Array = parameter(0.6, unit="", lower=0, frozen=False, doc="C_D of a ball")
+    coefficient: jax.Array = parameter(0.6, unit="", lower=0, frozen=False, doc="C_D of a sphere")
     points = 0
 
     def force(self, stream):

@@ -14,9 +14,9 @@ from giajax.schema.parameters import parameter
 class PowerLaw(AbstractWind):
     """Wind along x: a power of the height above the ground, times a periodic gust."""
 
-    speed: jax.Array = parameter(6.0, unit="m/s", lower=0, doc="mean 10 m above the ground")
+    speed: jax.Array = parameter(6.0, unit="m/s", lower=0, doc="mean speed at a height of 10 m")
     exponent: jax.Array = parameter(
-        0.14, unit="", lower=0, upper=1, frozen=False, doc="of the height: 1/7 over open land"
+        0.14, unit="", lower=0, upper=1, frozen=False, doc="exponent of the height (open land: 1/7)"
     )
     base: jax.Array = parameter(6.0, unit="m", lower=0, doc="height of the arm's base")
 

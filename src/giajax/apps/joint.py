@@ -211,8 +211,10 @@ def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
     grid[0, 0].set_ylim(min(-0.22, heights.min() - 0.18), max(0.34, heights.max() + 0.3))
     for panel in grid[:, 0]:
         panel.set_ylabel("y (m)")
-    for panel in grid[-1]:
-        panel.set_xlabel("x (m)")
+    for column in grid.T:
+        lowest = [panel for panel in column if panel.get_visible()][-1]
+        lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel("x (m)")
     figure.supxlabel(_LETTERS, fontsize=8, color=INK)
     handles = [
         Line2D([], [], color=BLUE, linewidth=2, label="muscle"),

@@ -36,7 +36,7 @@ from ._values import noise_section, settings, with_settings
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..apps.driving import Record, Session, TipCamera
+    from ..apps.driving import Record, Session, TipCamera, Unfinished
     from ..apps.synthetic import Drive
     from ..models import ArmModel
     from ..recordings import Definition
@@ -110,7 +110,7 @@ def replay_table(
     def on_progress(done: float, whole: float) -> None:
         nonlocal said, kept
         if time.monotonic() - kept > _KEPT_S:
-            drives.keep()
+            drives.keep(deque())
             kept = time.monotonic()
         if watched and (percent := int(100 * done / whole)) > said:
             said = percent
@@ -139,8 +139,7 @@ def serve(
         ends = "ends the drive and saves it"
         say_served(cockpit, "can drive the arm", ends, browser=browser, quiet=quiet)
         while not cockpit.wait(_KEPT_S):
-            drives.save_all(cockpit.driven)
-            drives.keep()
+            drives.keep(cockpit.driven)
         if not cockpit.finished:
             raise cockpit.failure or InputError(cockpit.error or "the drive has ended")
     except KeyboardInterrupt:
@@ -148,11 +147,13 @@ def serve(
             typer.echo("\nsaving the drive")
     finally:
         cockpit.close()
-        drives.save_all(cockpit.driven)
+        drives.keep(cockpit.driven)
 
 
 class Drives:
     """The drives of a session as files, each under its own name.
+
+    The file of an unfinished drive is removed only after its run was written.
 
     Arguments:
         names: paths of the runs. The first one may be overwritten; each of the others must be new.
@@ -173,56 +174,69 @@ class Drives:
     ) -> None:
         self._session, self._names, self._channels = session, names, channels
         self._force, self._quiet, self._complain, self._how = force, quiet, complain, how
-        self._begin(session.record)
+        self._begun: dict[Record, tuple[Path, Unfinished]] = {}
+        self._failed = False
+        self._files_of(session.record)
 
-    def _begin(self, record: "Record") -> None:
+    def _files_of(self, record: "Record") -> "tuple[Path, Unfinished]":
+        """Return the path of the run of a drive, and its unfinished run."""
         from ..apps.driving import Unfinished
 
-        self._out = next(self._names)
-        self._unfinished = Unfinished(
-            record, _files(self._out)[-1], origin=self._how["origin"], complain=self._complain
-        )
+        if record not in self._begun:
+            out = next(self._names)
+            kept = {"origin": self._how["origin"], "complain": self._complain}
+            self._begun[record] = out, Unfinished(record, _files(out)[-1], **kept)
+        return self._begun[record]
 
-    def keep(self) -> None:
-        """Write the rows that were driven since the last call."""
-        self._unfinished.add()
-
-    def save(self, record: "Record") -> None:
-        """Write a drive and describe it; a drive without motion is not written."""
-        if self._unfinished.record is not record:
-            self._unfinished.remove()
-            self._begin(record)
+    def keep(self, driven: "deque[Record]") -> None:
+        """Write the finished drives, and the rows of the current one since the last call."""
+        while driven:
+            # A drive stays in the queue until it is written, so that Ctrl-C does not lose it.
+            try:
+                self._save(driven[0])
+            except InputError as error:
+                self._failed = True
+                self._complain(f"giajax: {error}")
+            driven.popleft()
         try:
-            run = record.run(self._channels, name=self._out.stem, **self._how)
-            driven = f"{record.duration:.1f} s driven, "
-            written: dict[str, Any] = {"force": self._force, "quiet": self._quiet, "what": driven}
-            write_and_say(self._out, run, 12, **written)
+            _, unfinished = self._files_of(self._session.record)
         except InputError as error:
-            if record.is_still:
-                typer.echo(f"giajax: {error}", err=True)
-                self._unfinished.remove()
-                return
-            self._unfinished.add()
-            raise InputError(
-                f"{error}; the recorded part of the drive is in {self._unfinished.path}"
-            ) from None
-        self._unfinished.remove()
+            self._failed = True
+            self._complain(f"giajax: {error}")
+        else:
+            unfinished.add()
+
+    def end(self) -> None:
+        """Write the current drive.
+
+        Raises:
+            InputError: this drive or an earlier one could not be written.
+        """
+        self._save(self._session.record)
+        if self._failed:
+            raise InputError("not all drives of this session could be saved: see above")
+
+    def _save(self, record: "Record") -> None:
+        """Write a drive and describe it; a drive without motion is not written."""
+        out, unfinished = self._files_of(record)
+        try:
+            run = record.run(self._channels, name=out.stem, **self._how)
+            driven = f"{record.duration:.1f} s driven, "
+            write_and_say(out, run, 12, force=self._force, quiet=self._quiet, what=driven)
+        except InputError as error:
+            if not record.is_still:
+                unfinished.add()
+                raise InputError(
+                    f"{error}; the recorded part of the drive is in {unfinished.path}"
+                ) from None
+            typer.echo(f"giajax: {error}", err=True)
+        unfinished.remove()
+        del self._begun[record]
         if record.lost and not self._quiet:
             typer.echo(
                 f"the simulation fell {record.lost:.1f} s behind real time, and this time was "
                 "skipped"
             )
-
-    def save_all(self, driven: "deque[Record]") -> None:
-        """Write the finished drives, and begin the file of the current one."""
-        if not driven:
-            return
-        while driven:
-            try:
-                self.save(driven.popleft())
-            except InputError as error:
-                self._complain(f"giajax: {error}")
-        self._begin(self._session.record)
 
 
 def _free_names(to: Path | None) -> Iterator[Path]:
@@ -376,7 +390,7 @@ def drive(
             where: dict[str, Any] = {"host": host, "port": port, "browser": browser}
             serve(session, camera, drives, **where, quiet=quiet)
     finally:
-        drives.save(session.record)
+        drives.end()
 
 
 @command(

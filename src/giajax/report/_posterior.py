@@ -94,12 +94,15 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
     Ranks are computed among the draws of all chains. Chains that have mixed have uniform ranks:
     Vehtari, Gelman, Simpson, Carpenter and Buerkner, Bayesian Analysis 16 (2021) 667.
     """
+    from scipy.stats import rankdata  # a second to import
+
     labels = _shown(found)
     title = _title("Chains of the posterior", found, result, labels)
     figure = new_figure(8.5, 1.5 * len(labels) + 1.0, title)
     grid = figure.subplots(len(labels), 2, squeeze=False, width_ratios=(2, 1), sharex="col")
     for row, (label, draws) in zip(grid, _draws(found, result, labels).items(), strict=True):
-        ranks = np.argsort(np.argsort(draws, axis=None)).reshape(draws.shape) + 1
+        # Equal draws of a chain that does not move have equal ranks.
+        ranks = rankdata(draws, method="average").reshape(draws.shape)
         for chain, (values, placed) in enumerate(zip(draws, ranks, strict=True), 1):
             style: dict[str, Any] = {"color": f"C{chain - 1}", "label": f"chain {chain}"}
             row[0].plot(np.arange(1, values.size + 1), values, linewidth=0.6, alpha=0.8, **style)

@@ -338,7 +338,7 @@ def test_ctrl_c_saves_the_drive(tmp_path):
         page.send(json.dumps({"type": "restart"}))
         while not (begun := told(page, "pose"))["ready"]:
             pass
-        assert begun["command"] == begun["angles"] == [0.0] * 6
+        assert begun["command"] == begun["angles"] == [0.0] * 3
         page.send(json.dumps({"type": "joint", "joint": 2, "deg": 2.0}))
         while told(page, "pose")["command"][1] < 1.0:
             page.send(json.dumps({"type": "alive"}))

@@ -226,7 +226,11 @@ def test_messages_that_say_nothing(operator, message, said):
             "axis 0 refers to joint 4, but the arm has only 3 joints: correct the number",
         ),
         ("axes = [", "sticks = [", r"unknown key pad\.sticks"),
-        ("dead_zone = 0.1", "dead_zone = 1.0", r"pad\.dead_zone = 1.0 must be a number of at least 0"),
+        (
+            "dead_zone = 0.1",
+            "dead_zone = 1.0",
+            r"pad\.dead_zone = 1.0 must be a number of at least",
+        ),
         ('preset = "up"', 'preset = "down"', "button 0 selects 'down', which is not a preset"),
         # The second entry for the same button does not hide it.
         (

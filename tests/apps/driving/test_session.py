@@ -1,5 +1,8 @@
 """A drive: it follows the clock, agrees with the simulation, and can be saved as a run."""
 
+from collections import deque
+from pathlib import Path
+
 import jax
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from giajax.apps.driving import (
 )
 from giajax.apps.synthetic import gusts
 from giajax.cli import main
+from giajax.cli._drive import Drives
 from giajax.mechanics.arm import takeichi_20m, tip_position
 from giajax.mechanics.hysteresis import PrandtlIshlinskii
 from giajax.models import ArmModel
@@ -243,6 +247,38 @@ def test_another_drive_begins_as_the_first_did(model):
         assert len(first) == 121
         np.testing.assert_array_equal(first, second)
     assert drives[0].duration == pytest.approx(4.0)
+
+
+def test_drives_that_cannot_be_saved_are_not_lost(model, tmp_path, monkeypatch):
+    """Two of three fail, one by Ctrl-C; each leaves either its run or its unfinished run."""
+    monkeypatch.chdir(tmp_path)
+    session, said = Session(model), []
+    names = (Path(f"run-{number}.csv") for number in range(1, 9))
+    how = {"noise": None, "every": 3, "seed": 0, "origin": ""}
+    drives = Drives(session, names, ["tip_z"], force=False, quiet=True, complain=said.append, **how)
+    waiting = deque()
+    for _ in range(2):
+        replay(session, pad(1.0), until=1.0)
+        drives.keep(deque())
+        waiting.append(session.restart())
+    replay(session, pad(1.0), until=1.0)
+    with monkeypatch.context() as broken:
+        broken.setattr("giajax.cli._drive.write_and_say", raises(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            drives.keep(waiting)
+        broken.setattr("giajax.cli._drive.write_and_say", raises(InputError("no")))
+        first = waiting[0]
+        drives.keep(deque([first]))
+    waiting.popleft()
+    assert said == ["giajax: no; the recorded part of the drive is in run-1-unfinished.csv"]
+    drives.keep(waiting)
+    assert not waiting
+    with pytest.raises(InputError, match="not all drives of this session could be saved"):
+        drives.end()
+    written = sorted(path.name for path in tmp_path.glob("*.csv"))
+    assert written == ["run-1-unfinished.csv", "run-2.csv", "run-3.csv"]
+    for name in written:
+        assert len(read_run(name).times) == 31
 
 
 def test_rows_that_a_full_disk_does_not_take_are_written_later(model, tmp_path, monkeypatch):

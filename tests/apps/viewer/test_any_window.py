@@ -1,5 +1,6 @@
 """The camera of every page with an arm shows all of the arm, and the arm fills half the window."""
 
+import itertools
 import time
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from browsing import opened
 from giajax.apps.driving import Cockpit, Session, TipCamera
-from giajax.apps.viewer import Posable, Show, Viewer, outline, recording
+from giajax.apps.viewer import Posable, Show, Viewer, brick, edges, outline, recording
 from giajax.mechanics.arm import takeichi_20m
 from giajax.models import ArmModel, Line, Scene
 
@@ -122,6 +123,24 @@ def test_a_file_shows_all_of_the_arm(page, tmp_path):
     assert not page.complaints
 
 
+def test_edges_of_a_wall_are_those_of_the_whole():
+    """A frame of eight boxes has the edges of its outline and of its hole, and no others."""
+    boxes = []
+    for x, y in itertools.product((-1, 0, 1), repeat=2):
+        if (x, y) != (0, 0):
+            boxes.append(brick().vertices + np.array([x, y, 0.0]))
+    found = edges(boxes)
+    lengths = np.linalg.norm(found[:, 0] - found[:, 1], axis=1)
+    assert lengths == pytest.approx(1.0)
+    # Of the outline 12 pieces in each plane, of the hole 4, and 4 + 4 edges between the planes.
+    assert len(found) == 2 * (12 + 4) + 8
+    across = found.mean(axis=1)
+    outside = np.isclose(np.abs(across[:, :2]).max(axis=1), 1.5)
+    hole = np.isclose(np.abs(across[:, :2]).max(axis=1), 0.5)
+    assert np.all(outside | hole)
+    assert len(edges([brick().vertices])) == 12
+
+
 # The first bytes of the two formats, after the size of the first box of an MP4 file.
 _STARTS = {"mp4": (4, b"ftyp"), "webm": (0, b"\x1aE\xdf\xa3")}
 
@@ -149,7 +168,7 @@ def test_a_video_of_the_scene_is_saved(page, tmp_path):
     assert page.evaluate(f"{button}.textContent") == "record a video"
     page.evaluate(f"{button}.click()")
     assert page.evaluate(f"{button}.textContent") == "stop and save the video"
-    time.sleep(2.0)
+    time.sleep(5.0)
     page.evaluate(f"{button}.click()")
     page.wait("window.saved.data && window.saved.name", 60)
     stem, ending = page.evaluate("window.saved.name").split(".")

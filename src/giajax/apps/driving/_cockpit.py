@@ -92,7 +92,7 @@ _AT_ONCE = 2
 _LONGEST_MESSAGE = 1 << 16  # bytes; longer than any message from the page
 TAKEN_OVER = "another page has taken over"
 UNMOVED = "the drive has ended: no joint was moved, and nothing is saved"
-ENDED = "the drive has ended and is being saved: the terminal shows the location of the files"
+ENDED = "the drive has ended and is being saved: the terminal shows the location of all files"
 
 
 class Cockpit:
@@ -120,6 +120,7 @@ class Cockpit:
         self.finished = False
         # Drives that the operator ended to begin a new one. The caller removes and saves them.
         self.driven: deque[Record] = deque()
+        self._is_first = True
         # Messages from pages with their times of arrival. The thread of the arm handles them.
         self._inbox: deque[tuple[ServerConnection, dict[str, Any], float]] = deque()
         self._answers: deque[tuple[ServerConnection, str]] = deque()
@@ -213,7 +214,10 @@ class Cockpit:
                     self._fresh.notify_all()
                 return
             if message.get("type") == "restart":
-                self.driven.append(self.session.restart())
+                # A drive in which nothing was moved is the beginning of the next one.
+                if not self.session.record.is_still:
+                    self.driven.append(self.session.restart())
+                    self._is_first = False
                 continue
             try:
                 self.session.receive(message, came)
@@ -299,7 +303,8 @@ class Cockpit:
                         connection.send(json.dumps({"type": "error", "text": answer}))
                 self._ended.wait(1 / _TOLD)
             if self._ended.is_set():
-                ended = UNMOVED if self.session.record.is_still else ENDED
+                still = self._is_first and self.session.record.is_still
+                ended = UNMOVED if still else ENDED
                 text = self.error or (ended if self.finished else "")
                 connection.send(json.dumps({"type": "ended", "text": text}))
 

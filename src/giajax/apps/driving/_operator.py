@@ -206,6 +206,12 @@ class Operator:
         self._pad_here = False
         self._pressed: frozenset[int] = frozenset()
 
+    def restarted(self) -> "Operator":
+        """Return an operator at the start of another drive; held buttons are not pressed again."""
+        new = Operator(self.mapping, self.joints)
+        new._pressed, new._pad_here, new._heard = self._pressed, self._pad_here, self._heard
+        return new
+
     def receive(self, message: Mapping[str, Any], now: float) -> None:
         """Handle one message from the page.
 

@@ -371,11 +371,16 @@ class Session:
         self.moment: Moment = self._stepper.start(wind=self._wind)
         self._add()
 
+    @property
+    def lost(self) -> float:
+        """Time by which the simulation fell behind the clock for good in this drive, s."""
+        return self.record.lost
+
     def restart(self) -> Record:
         """Begin a new drive with the straight arm at rest; return the record of the last one."""
         driven = self.record
         self.record = Record(driven.model)
-        self.operator = Operator(self.mapping, driven.model.arm.count)
+        self.operator = self.operator.restarted()
         if self._compensation is not None:
             self._compensation.restart()
         self._begin()

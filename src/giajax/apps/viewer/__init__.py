@@ -31,6 +31,7 @@ from ._stage import (
     brick as brick,
     check_viser as check_viser,
     cut as cut,
+    edges as edges,
     ends as ends,
     scale_of as scale_of,
     segments as segments,

@@ -196,10 +196,19 @@ def brick() -> Mesh:
     return Mesh(np.array(corners), np.array(faces))
 
 
-def brick_edges() -> Int[np.ndarray, "edge 2"]:
-    """Return the vertex indices of the edges of a brick; each edge occurs once per face."""
+def edges(bricks: Sequence[Float[np.ndarray, "24 3"]]) -> Float[np.ndarray, "edge 2 3"]:
+    """Return the edges of a body that is assembled from bricks, without those inside its faces.
+
+    Arguments:
+        bricks: vertices of each brick in the order of `brick`; bricks touch at whole faces.
+    """
     first = 4 * np.arange(6)[:, None]
-    return np.concatenate([first + np.array([k, (k + 1) % 4]) for k in range(4)])
+    corners = np.concatenate([first + np.array([k, (k + 1) % 4]) for k in range(4)])
+    found = np.concatenate([vertices[corners] for vertices in bricks])
+    known = np.concatenate([found.sum(axis=1), np.abs(found[:, 0] - found[:, 1])], axis=1)
+    # A brick has each edge in two faces. Two bricks with a common edge continue a flat face there.
+    places, counts = np.unique(known.round(5), axis=0, return_index=True, return_counts=True)[1:]
+    return found[places[counts // 2 % 2 == 1]]
 
 
 def _turned(outline: list[tuple[float, float]], around: Any = 1.0) -> Mesh:
@@ -501,6 +510,8 @@ class Stage:
 
     def _surroundings(self) -> None:
         low, high = self.show.scene.extent()
+        bricks: dict[str, list[np.ndarray]] = {}
+        endless = set()
         for number, block in enumerate(self.show.scene.blocks):
             centre, size = cut(block.centre, block.size, block.axes, low, high)
             vertices = brick().vertices * size @ block.axes.T + centre
@@ -509,12 +520,15 @@ class Stage:
                 name, vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
                 cast_shadow=False, receive_shadow=True,
             )  # fmt: skip
-            if ends(block, self.scale.extent) is not None:
-                # Edges show the depth of walls, which all have one colour. Ground has no edges.
-                self._api.add_line_segments(
-                    f"{name}/edges", vertices[brick_edges()], INK,
-                    thickness=0.5 * _THREAD * self.scale.extent,
-                )  # fmt: skip
+            bricks.setdefault(block.name, []).append(vertices)
+            if ends(block, self.scale.extent) is None:
+                endless.add(block.name)
+        # Edges show the depth of walls, which all have one colour. Ground has no edges.
+        for name in bricks.keys() - endless:
+            self._api.add_line_segments(
+                f"{self._root}/surroundings/edges of {name.replace('/', '_')}",
+                edges(bricks[name]), INK, thickness=0.5 * _THREAD * self.scale.extent,
+            )  # fmt: skip
 
 
 # Gap between two shows, in extents of the largest one, and initial distance of the camera, in sizes

@@ -89,7 +89,19 @@ if (type) {
   let recorder = null;
   const button = element("button", { type: "button", textContent: "record a video", onclick: () => {
     if (recorder) { recorder.stop(); return; }
-    recorder = new MediaRecorder(window.__viserMutable.canvas.captureStream(30), { mimeType: type, videoBitsPerSecond: 8e6 });
+    const scene = window.__viserMutable?.canvas;
+    if (!scene) return;
+    // The canvas of the scene is transparent, and its size may change. The one that is recorded
+    // has the background of the page, and an even size, which some encoders need.
+    const [width, height] = [scene.width & ~1, scene.height & ~1];
+    const copy = element("canvas", { width, height }), pen = copy.getContext("2d");
+    pen.fillStyle = about.dark ? "#1c1c1e" : "#ffffff";
+    recorder = new MediaRecorder(copy.captureStream(30), { mimeType: type, videoBitsPerSecond: 8e6 });
+    (function paint() {
+      pen.fillRect(0, 0, width, height);
+      pen.drawImage(scene, 0, 0, width, height);
+      if (recorder) requestAnimationFrame(paint);
+    })();
     const parts = [];
     recorder.ondataavailable = (event) => parts.push(event.data);
     recorder.onstop = () => {
