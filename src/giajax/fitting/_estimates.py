@@ -180,8 +180,8 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             "only_combinations",
             names,
             f"the data do not determine {', '.join(names)} separately{said}",
-            f"give one of them ({one_of(names)}) a prior with a standard deviation, or fix it, "
-            "which does not change the combinations",
+            f"give one of them ({one_of(names)}) a prior with a standard deviation, or fix it"
+            + (", which does not change the combinations" if known else ""),
         )
 
 

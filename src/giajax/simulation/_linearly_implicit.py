@@ -133,7 +133,8 @@ class QuinticInterpolation(diffrax.AbstractLocalInterpolation):
 # Whether the slope at the start of the next step is known, and the slope.
 Carried = tuple[Bool[Array, ""], State]
 
-# Slopes of all stages, state and slope of the last stage, and the largest residual of a stage.
+# Slopes of all stages, state and slope of the last stage, and the largest expected correction of a
+# stage, rad.
 Stages = tuple[Array, State, State, Scalar]
 
 # State of the iteration of a stage: number of iterations, size of the last correction, expected
