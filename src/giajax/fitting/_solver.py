@@ -160,13 +160,14 @@ class Marquardt(optx.AbstractLeastSquaresSolver):
     output, and must be differentiable in forward mode. A trial point whose residual or Jacobian is
     not finite is rejected, and the step becomes shorter.
 
-    Options (of `optimistix.least_squares`):
-        `active`: Boolean array of the parameters that may move.
-        `lower`, `upper`: arrays of bounds, on which a trial point may lie. They are infinite by
-            default.
-        `linearise`: a function of `(y, args)` that returns the residual, the Jacobian (any pytree),
-            R and Q^T r of its QR factorisation, and the auxiliary output, for structured problems.
-            `fn` is then not called. `jacobian` is a template of the pytree.
+    These `options` of `optimistix.least_squares` are used:
+
+    - `active`: Boolean array of the parameters that may move.
+    - `lower`, `upper`: arrays of bounds, on which a trial point may lie. They are infinite by
+      default.
+    - `linearise`: a function of `(y, args)` that returns the residual, the Jacobian (any pytree),
+      R and Q^T r of its QR factorisation, and the auxiliary output, for structured problems. `fn`
+      is then not called. `jacobian` is a template of the pytree.
 
     Arguments:
         rtol, atol: a step that changes no parameter by more than `atol + rtol |y|` is the last. The
