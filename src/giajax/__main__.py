@@ -5,7 +5,7 @@ import gc
 import os
 import sys
 
-from .runtime.process import listen, own_process, stopped_status
+from .runtime.process import listen, own_process, set_variables, stopped_status
 
 # Imports and tracing create millions of permanent objects. With Python's default thresholds,
 # searching them for cycles takes a tenth of the time of a fit.
@@ -21,12 +21,7 @@ def main() -> int:
     _open_streams()
     listen()
     gc.set_threshold(_OBJECTS, 50, 100)
-    # The matrices of NumPy and SciPy are small here, and waiting BLAS threads keep the cores busy.
-    # The variable is read when NumPy is imported.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # This one is read when Equinox is imported, which some commands need to check their arguments.
-    # JAX does not store programs that can raise errors: `configure` explains it.
-    os.environ.setdefault("EQX_ON_ERROR", "nan")
+    set_variables()  # some commands import Equinox to check their arguments
     try:
         from .cli import main as command_line
 

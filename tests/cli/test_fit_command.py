@@ -60,7 +60,8 @@ def test_a_result_that_cannot_be_written_is_printed(data, monkeypatch):
     status, out, err = giajax("fit", "--data", data, *STARTS, "--max-iterations", "1")
     assert status == 2
     assert json.loads(out)["parameters"]["air.drag_coefficient"]["value"] > 0
-    assert err.endswith("of its files could be written:\ngiajax: no space left: make some\n")
+    told = "because not all of its files could be written:\ngiajax: no space left: make some\n"
+    assert err.endswith(told)
 
 
 @pytest.mark.slow

@@ -174,7 +174,8 @@ def test_a_clock_that_is_off_leaves_the_prediction_and_is_a_condition(run):
         ]
 
     (sentence,) = said(model, [run], free)
-    assert "joints.pitch_stiffness, joints.yaw_stiffness by 1 / r^2 and joints.damping" in sentence
+    scaled = "joints.pitch_stiffness, joints.yaw_stiffness by 1 / r^2 and joints.damping by 1 / r"
+    assert f"{scaled} " in sentence
     turning = dataclasses.replace(
         run, values=run.values | {"joint01_rate": 0 * run.times},
         channels=run.channels | {"joint01_rate": Channel.named("joint01_rate")},

@@ -3,6 +3,9 @@
 import collections
 import dataclasses
 import functools
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -299,3 +302,17 @@ def test_arrays_that_are_parts_of_a_program_count_by_their_numbers():
     assert structure(fixed(1.0, 2.0)) != structure(fixed(1.0, 3.0))
     assert structure(Spring(np.array(1.0))) == structure(Spring(np.array(2.0)))
     assert structure({"a": 1, "b": (True,)}) != structure({"a": 1, "b": (1,)})
+
+
+def test_programs_can_be_stored_whatever_a_command_imports_first(tmp_path):
+    """`report` imports Equinox to check its arguments, before it is configured."""
+    result = Path(__file__).parents[1] / "earlier" / "results" / "loops" / "fit"
+    words = ["giajax", "report", str(result), "--page", "x.html", "--data", "none.csv"]
+    code = (
+        f"import sys; from giajax.__main__ import main; sys.argv = {words!r}; "
+        "status = main(); from equinox._config import EQX_ON_ERROR; print(status, EQX_ON_ERROR)"
+    )
+    known = {name: value for name, value in os.environ.items() if name != "EQX_ON_ERROR"}
+    how = {"env": known, "cwd": tmp_path, "capture_output": True, "text": True}
+    said = subprocess.run([sys.executable, "-c", code], **how)
+    assert said.stdout.split() == ["2", "nan"], said.stderr

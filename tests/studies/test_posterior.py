@@ -258,7 +258,7 @@ def test_traces_show_each_chain_and_its_ranks(line, drawn):
         heights = [each.get_xy()[1:-1:2, 1] for each in ranks.patches]
         assert [each.sum() for each in heights] == [DRAWS] * 3
         np.testing.assert_allclose(np.sum(heights, axis=0), 3 * DRAWS / 20, atol=1)
-        assert trace.get_ylabel().startswith(label)
+        assert trace.get_ylabel() == f"{label}, m"
 
 
 def test_the_next_arviz_takes_the_draws_too(drawn):

@@ -51,7 +51,7 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
     labels = _shown(found)
     factors = column_factors(result.model)
     draws = {label: each.ravel() for label, each in _draws(found, result, labels).items()}
-    named = {label: _with_unit(found, result, label) for label in labels}
+    named = _named(found, result)
     count = len(labels)
     size = max(1.7 * count, 4.2)
     figure = new_figure(size + 1.2, size + 0.9, _title("Posterior", found, result, labels))
@@ -97,7 +97,7 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
     from scipy.stats import rankdata  # a second to import
 
     labels = _shown(found)
-    title = _title("Chains of the posterior", found, result, labels)
+    title, named = _title("Chains of the posterior", found, result, labels), _named(found, result)
     figure = new_figure(8.5, 1.5 * len(labels) + 1.0, title)
     grid = figure.subplots(len(labels), 2, squeeze=False, width_ratios=(2, 1), sharex="col")
     for row, (label, draws) in zip(grid, _draws(found, result, labels).items(), strict=True):
@@ -108,7 +108,7 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
             row[0].plot(np.arange(1, values.size + 1), values, linewidth=0.6, alpha=0.8, **style)
             row[1].hist(placed, bins=_RANKS, range=(1, ranks.size), histtype="step", **style)
         row[1].axhline(draws.shape[1] / _RANKS, color=GREY, linewidth=0.9, linestyle="--")
-        row[0].set_ylabel(_with_unit(found, result, label), fontsize=8)
+        row[0].set_ylabel(named[label], fontsize=8)
         row[1].set_ylabel("draws", fontsize=8)
         for axes in row:
             plain(axes)
@@ -131,14 +131,19 @@ def _title(about: str, found: Posterior, result: FitResult, labels: Sequence[str
     return about + unfinished(result) + (f"; {more} more parameters" if more else "")
 
 
-def _unit(found: PosteriorSummary, result: FitResult, label: str) -> str | None:
-    one = in_column_units(result.free, result.model).get(label.partition(" of ")[0])
-    return found.parameters[label].unit if one is None else one.unit
+def _units(found: PosteriorSummary, result: FitResult) -> dict[str, str]:
+    """Return the unit of each parameter, as in the columns."""
+    known = in_column_units(result.free, result.model)
+    return {
+        label: known.get(label.partition(" of ")[0], one).unit or ""
+        for label, one in found.parameters.items()
+    }
 
 
-def _with_unit(found: Posterior, result: FitResult, label: str) -> str:
-    unit = _unit(found.summary, result, label)
-    return _short(label) + (f", {unit}" if unit else "")
+def _named(found: Posterior, result: FitResult) -> dict[str, str]:
+    """Return the name of each parameter on an axis, with its unit."""
+    units = _units(found.summary, result)
+    return {label: _short(label) + (unit and f", {unit}") for label, unit in units.items()}
 
 
 def _path(label: str) -> str:
@@ -244,11 +249,10 @@ def posterior_rows(summary: PosteriorSummary, result: FitResult) -> list[list[st
 
     Parameters without an effect on any channel, which were held, come last.
     """
-    factors = column_factors(result.model)
+    factors, units = column_factors(result.model), _units(summary, result)
     rows = []
     for label, marginal in summary.parameters.items():
-        unit = _unit(summary, result, label) or ""
-        rows.append(_row(label, marginal.times(factors.get(_path(label), 1.0), unit)))
+        rows.append(_row(label, marginal.times(factors.get(_path(label), 1.0), units[label])))
     known = in_column_units(result.parameters, result.model)
     for path in summary.held:
         one = known.get(path)  # missing for a single element or a parameter of a single run

@@ -127,6 +127,17 @@ def is_own_process() -> bool:
     return _own_process
 
 
+def set_variables() -> None:
+    """Set the environment variables that libraries read when they are imported."""
+    # Equinox: its checks call back into Python, and JAX does not cache programs with such calls, so
+    # each process would compile a fit again. With this setting a failed check returns NaN, which
+    # all callers here test for.
+    os.environ.setdefault("EQX_ON_ERROR", "nan")
+    # NumPy and SciPy: the matrices of an arm are too small for parallel BLAS, whose threads halve
+    # the speed for an arm with 160 links. `one_blas_thread` is used if several cores compute.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
 def configure() -> None:
     """Enable 64-bit numbers, the persistent compilation cache, and the storage of programs.
 
@@ -135,13 +146,7 @@ def configure() -> None:
     `JAX_COMPILATION_CACHE_DIR`, otherwise at `giajax` in the user's cache directory if that is
     writable.
     """
-    # Equinox reads this variable when it is imported. Its checks call back into Python, and JAX
-    # does not cache programs with such calls, so each process would compile a fit again. With this
-    # setting a failed check returns NaN, which all callers here test for.
-    os.environ.setdefault("EQX_ON_ERROR", "nan")
-    # The matrices of an arm are too small for parallel BLAS, whose threads halve the speed for an
-    # arm with 160 links. `one_blas_thread` is used if several cores compute.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    set_variables()
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -229,7 +229,7 @@ def test_messages_that_say_nothing(operator, message, said):
         (
             "dead_zone = 0.1",
             "dead_zone = 1.0",
-            r"pad\.dead_zone = 1.0 must be a number of at least",
+            r"pad\.dead_zone = 1.0 must be a number of at least 0 and below 1",
         ),
         ('preset = "up"', 'preset = "down"', "button 0 selects 'down', which is not a preset"),
         # The second entry for the same button does not hide it.

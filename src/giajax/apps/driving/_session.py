@@ -444,7 +444,7 @@ class Session:
     def pose(self) -> Pose:
         """Current pose of the arm."""
         angles, command = np.asarray(self.moment.angles), np.asarray(self.moment.command)
-        return Pose(self.time, angles, command, self._wind, self.operator.stopped, self.record.lost)
+        return Pose(self.time, angles, command, self._wind, self.operator.stopped, self.lost)
 
     def _wind_at(self, time: float) -> Float[np.ndarray, "3"]:
         if self._gusts is None or not self.gusty:

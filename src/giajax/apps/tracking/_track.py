@@ -663,10 +663,10 @@ def begun_at(
     def motion(start: Gaussian, held: Held) -> Motion:
         event = one._replace(held=jax.tree.map(lambda leaf: leaf[None], held))
         _, rows = followed_through(tracked, start, event, settings)
-        found: Motion = _row(rows.motion, 0)
+        found: Motion = _taken(rows.motion, 0)
         return found
 
-    first: Any = _row(plan.events.held, 0)
+    first: Any = _taken(plan.events.held, 0)
     begins = starts(tracked, first, unknown, model.prepare(run).initial, motion)
     return tracked, plan, chosen(tracked, plan, begins, settings), settings
 
@@ -841,18 +841,18 @@ def _calls(count: int) -> list[tuple[int, int]]:
 # NumPy takes and joins rows here: JAX would compile a program for each shape.
 
 
-def _some(rows: Any, begin: int, size: int) -> Any:
-    """Return the rows of a call, padded to the size of all calls with the last of `size` rows."""
-    at = np.minimum(np.arange(begin, begin + _CHUNK), begin + size - 1)
+def _taken(rows: Any, at: Any) -> Any:
+    """Return the rows at an index, a slice or indices."""
     return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[at]), rows)
 
 
+def _some(rows: Any, begin: int, size: int) -> Any:
+    """Return the rows of a call, padded to the size of all calls with the last of `size` rows."""
+    return _taken(rows, np.minimum(np.arange(begin, begin + _CHUNK), begin + size - 1))
+
+
 def _first(rows: Any, size: int) -> Any:
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:size]), rows)
-
-
-def _row(rows: Any, index: int) -> Any:
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), rows)
+    return _taken(rows, slice(size))
 
 
 def _joined(parts: Sequence[Any]) -> Any:
@@ -1002,9 +1002,9 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         loosened = events.learning.loosened.at[since + 1].add(direction)
         events = events._replace(learning=events.learning._replace(loosened=loosened))
         before = _first(_joined(latest), since + 1)
-        known = _row(before, -1)
+        known = _taken(before, -1)
         again = Followed(known.state, known.left_out, watch)
-        between = jax.tree.map(lambda leaf, a=since + 1, b=end + 1: leaf[a:b], events)
+        between = _taken(events, slice(since + 1, end + 1))
         followed, after = followed_through(tracked, again, between, settings)
         latest, begin = [before, after], end + 1
     return Course(_joined(parts), min(seconds), tuple(changes), events)
@@ -1018,13 +1018,13 @@ def since_when(times: Sequence[float] | np.ndarray, now: float, age: float) -> i
 
 def smoothed_through(rows: Filtered) -> Gaussian:
     """Run the smoother over all events."""
-    after: Any = _row(rows.state, -1)
+    after: Any = _taken(rows.state, -1)
     parts: list[Gaussian] = [jax.tree.map(lambda leaf: leaf[None], after)]
-    given = (_first(rows.state, -1), jax.tree.map(lambda leaf: leaf[1:], rows.motion))
+    given = _first(rows.state, -1), _taken(rows.motion, slice(1, None))
     for begin, size in reversed(_calls(len(rows.state.mean) - 1)):
         states, motions = _some(given, begin, size)
         found = smoothed_states(after, states, motions, jnp.arange(_CHUNK) < size)
-        after = _row(found, 0)
+        after = _taken(found, 0)
         parts.append(_first(found, size))
     whole: Gaussian = _joined(parts[::-1])
     return whole

@@ -510,14 +510,15 @@ class Stage:
 
     def _surroundings(self) -> None:
         low, high = self.show.scene.extent()
+        whole = brick()
         bricks: dict[str, list[np.ndarray]] = {}
         endless = set()
         for number, block in enumerate(self.show.scene.blocks):
             centre, size = cut(block.centre, block.size, block.axes, low, high)
-            vertices = brick().vertices * size @ block.axes.T + centre
-            name = f"{self._root}/surroundings/{number + 1} {block.name.replace('/', '_')}"
+            vertices = whole.vertices * size @ block.axes.T + centre
             self._api.add_mesh_simple(
-                name, vertices, brick().faces, color=BUILDING, flat_shading=True, opacity=0.75,
+                f"{self._root}/surroundings/{number + 1} {block.name.replace('/', '_')}",
+                vertices, whole.faces, color=BUILDING, flat_shading=True, opacity=0.75,
                 cast_shadow=False, receive_shadow=True,
             )  # fmt: skip
             bricks.setdefault(block.name, []).append(vertices)
