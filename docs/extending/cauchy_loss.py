@@ -1,4 +1,4 @@
-"""Example: a user-defined loss and Student-t, for a recording with one outlier in ten cells."""
+"""Example: a user-defined loss and Student-t; one cell in ten of the recording is an outlier."""
 
 import jax
 import jax.numpy as jnp

@@ -17,7 +17,7 @@ class FullnessDrag(AbstractDragLaw):
         1.0, unit="", lower=0, frozen=False, doc="C_D of a full link at Re = 1e5"
     )
     limp: jax.Array = parameter(
-        0.5, unit="", lower=0, upper=10, doc="relative increase of C_D of an empty link"
+        0.5, unit="", lower=0, upper=10, doc="relative increase in C_D from a full to an empty link"
     )
     points = 3
 

@@ -163,7 +163,7 @@ def test_what_is_lost_is_said(tmp_path):
     assert any("becomes six point masses: 1" in sentence for sentence in lost)
     beyond = ROBOT.replace('lower="-3"', 'lower="1"')
     lost = read_mjcf(written(tmp_path, "beyond.urdf", beyond), diameter=0.05).lost
-    assert "the range of a joint that does not contain 0 is extended to 0" in lost
+    assert "a joint range that does not contain 0 is extended to 0" in lost
     several = CAPSULES.replace('stiffness="3"/>', 'stiffness="4"/>')
     read = read_mjcf(written(tmp_path, "several.xml", several))
     assert any("several stiffnesses" in sentence for sentence in read.lost)

@@ -63,7 +63,9 @@ def test_without_damping_the_impulses_are_those_of_the_papers():
     sizes = [(1 + kept) / 4, (1 - kept) / 2, (1 + kept) / 4]
     np.testing.assert_allclose(extra_insensitive(8.0, 0.0).sizes, sizes, atol=1e-9)
     np.testing.assert_allclose(extra_insensitive(8.0, 0.0).times, [0, 4, 8], atol=1e-8)
-    with pytest.raises(InputError, match=r"damping ratio is 0\.6, but EI exists only up to 0\.55"):
+    with pytest.raises(
+        InputError, match=r"damping ratio is 0\.6, but EI shapers exist only for ratios up to 0\.55"
+    ):
         extra_insensitive(8.0, 0.6)
 
 

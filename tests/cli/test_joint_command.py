@@ -122,7 +122,7 @@ def test_stops_and_branches_that_are_never_reached_are_told(tmp_path, capsys):
     table = rows(tmp_path / "equilibria.csv")
     assert {"at_lower_stop", "at_upper_stop", "indifferent"} <= set(table[0])
     out = capsys.readouterr().out
-    assert "more than the pressure limit" in out
+    assert "required pressure exceeds the pressure limit" in out
     assert "below 0.00 deg" in out
     assert "nan" not in out
 

@@ -60,12 +60,12 @@ def test_a_mission_and_many(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--speed", "-1"), "--speed is -1: give a number of at least 0"),
+        (("--speed", "-1"), "--speed is -1: give a non-negative number"),
         (
             ("--speed", "0.1", "--cases", "3"),
             "--speed applies to a single mission: omit --cases",
         ),
-        (("--cases", "3", "--speeds", "a,b"), "--speeds is 'a,b': give numbers of at least 0"),
+        (("--cases", "3", "--speeds", "a,b"), "--speeds is 'a,b': give non-negative numbers"),
         (
             ("--cases", "3", "--page", "x.html"),
             "--page applies to a single mission: omit --cases",

@@ -219,7 +219,7 @@ REFUSED = {
     "bad step": (["--step", "1:30"], ["JOINT=DEG[@T]"]),
     "step with a duration": (["--step", "1=30@1:2"], ["JOINT=DEG[@T]"]),
     "bad ramp": (["--ramp", "one=30"], ["JOINT=DEG[@START:DURATION]"]),
-    "ramp without duration": (["--ramp", "1=30@1:0"], ["duration 0", "--step"]),
+    "ramp without duration": (["--ramp", "1=30@1:0"], ["duration of 0", "--step"]),
     "too late": (["--step", "1=30@30"], ["outside the run"]),
     "overlap": (["--ramp", "1=30@1:2", "--ramp", "1=0@2:1"], ["overlap"]),
     "command and step": (["--command", "x.csv", "--step", "1=1"], ["only one source"]),
@@ -380,7 +380,7 @@ def test_coherence_is_of_gusts(out, capsys):
     assert "add --gusts" in capsys.readouterr().err
     windy = (*SHORT, "--wind", "0,0.3,0", "--gusts", "0.3:5")
     simulate(out, *windy, "--coherence", "-1", status=2)
-    assert "--coherence is -1: give a decay of at least 0" in capsys.readouterr().err
+    assert "--coherence is -1: give a non-negative decay coefficient" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,8 @@ def shell(line, **variables):
 
 
 LOST = (
-    "giajax: standard output cannot be written (No space left on device): the rest of the output "
-    "is lost, but all files that were written are complete\n"
+    "giajax: standard output cannot be written to (No space left on device): the rest of the "
+    "output is lost, but all files that were written are complete\n"
 )
 
 

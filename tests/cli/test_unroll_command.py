@@ -48,7 +48,7 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert facts["paid_out_m"] == pytest.approx(2.97)
     assert f"unrolled after {facts['unrolled_s'] / 60:.2f} min" in printed
     assert f"full after {facts['duration_s'] / 60:.2f} min" in printed
-    assert f"lifts itself at {facts['arm_lift_off_s'] / 60:.2f} min" in printed
+    assert f"lifts itself after {facts['arm_lift_off_s'] / 60:.2f} min" in printed
     assert facts["links"]["link03"]["full_s"] == pytest.approx(facts["duration_s"])
     with (out / "unrolling.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -212,7 +212,7 @@ def test_curvature_is_that_of_the_cost():
 def test_short_records_are_named():
     (finding,) = _findings._short([("a", 8.0), ("b", 25.0)])
     assert finding.code == "short_record"
-    assert finding.sentence == "the record 'a' lasts only 8 correlation times of its noise"
+    assert finding.sentence == "the recording 'a' lasts only 8 correlation times of its noise"
 
 
 def test_states_of_single_runs_take_part():
@@ -276,7 +276,7 @@ def test_joints_that_do_not_answer_their_commands_make_a_fit_doubtful():
     assert result.parameters["joints.yaw_stiffness"].value < 1e-2
     assert result.verdict.status == "doubtful"
     assert result.verdict.reasons[0].code == "vanished"
-    assert "which is 0 within its error" in result.headline
+    assert "which is 0 to within its standard error" in result.headline
     # This also holds for a fit that starts at the optimum, as after several initial guesses.
     again = fit(
         model_for([told]),

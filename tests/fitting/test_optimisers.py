@@ -140,11 +140,11 @@ def test_what_cannot_be_journalled_or_sent_to_workers_says_so(tmp_path):
         )
     small_loops.write_task(tmp_path)
     task = giajax.FitTask.load(tmp_path / "loops_fit.toml").on_top(optimiser=optimiser)
-    with pytest.raises(InputError, match=r"a fit by Dogleg\(rtol=1e-10, .*has no steps to record"):
+    with pytest.raises(InputError, match=r"a fit with Dogleg\(rtol=1e-10, .*no steps to record"):
         task.on_top(max_iterations=60).run(journal=tmp_path / "kept")
     ready = task.on_top(noise_model="white", max_iterations=500).prepare()
     result = ready.run(check=False)
     assert result.status == "converged"
     giajax.write_result(result, ready.runs, tmp_path / "kept", figures=False)
-    with pytest.raises(InputError, match=r"was fitted by Dogleg.*fit it again from Python"):
+    with pytest.raises(InputError, match=r"a fit with Dogleg.*repeat the fit from Python"):
         giajax.FitTask.again(tmp_path / "kept")

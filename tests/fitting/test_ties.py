@@ -61,7 +61,9 @@ def test_an_expression_is_arithmetic(text, value):
     ],
 )
 def test_what_is_no_arithmetic_is_refused(text):
-    with pytest.raises(InputError, match=r"must consist of numbers, parameter paths.*: correct it"):
+    with pytest.raises(
+        InputError, match=r"may contain only numbers, parameter paths.*: correct it"
+    ):
         Expression.parse(text)
 
 

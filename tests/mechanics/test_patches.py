@@ -142,7 +142,7 @@ def test_the_boxes_of_a_wall_fill_it_but_for_the_opening():
         ),
         (
             lambda: Plane(normal=[0.0, 0.0, 0.0]),
-            "'ground' has a normal of zero: give a vector that is not zero",
+            "'ground' has a normal of zero: give a vector other than zero",
         ),
         (lambda: WallWithOpening(margins=[1.0, 1.0, 0.0, 1.0]), "give positive sizes"),
     ],

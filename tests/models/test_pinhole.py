@@ -274,7 +274,7 @@ def test_what_a_camera_must_say(channel, cameras, says):
         ({"camera": {"side": {"focal_length_px": -9.0}}}, "focal_length_px = -9.0"),
         ({"camera": {"side": {"mount": "link6"}}}, 'must be "room", "tip" or a link'),
         ({"camera": {"delay": {"mount": "tip"}}}, "has a camera 'delay'"),
-        ({"camera": {"a b": {"mount": "tip"}}}, "must consist of letters, digits and _"),
+        ({"camera": {"a b": {"mount": "tip"}}}, "may contain only letters, digits and _"),
         ({"camera": {"side": 3}}, "[camera.side] must be a table of keys"),
         ({"landmark": {"door": {"position_m": [0.0, 0.0, 0.0]}}}, "called mark01, mark02"),
         ({"landmark": {"mark01": {}}}, "add mark01.position_m"),

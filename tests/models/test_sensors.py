@@ -446,9 +446,7 @@ def test_what_the_sensors_are_conditional_on_is_said():
 def test_a_first_row_read_by_a_sensor_that_is_fitted_is_said():
     def told(path="encoder.scale", **initial):
         sentences = model(**EACH).conditions([path], [run_of(initial=initial)])
-        return any(
-            "the state in the first row was computed with the start value" in s for s in sentences
-        )
+        return any("computed from the first row with the start value" in s for s in sentences)
 
     assert told(first_row=True)
     assert told("encoder.rate_offset", first_row=True)

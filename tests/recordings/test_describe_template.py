@@ -151,7 +151,7 @@ def test_text_channels_are_counted():
 def test_what_a_joint_or_a_muscle_assumes_is_told():
     joint = Run.from_arrays(None, {"angle": [0.1], "side": ["inner"], "force": [1.0]})
     told = " ".join(describe(joint)["notes"])
-    assert "the default giajax geometry" in told
+    assert "the default geometry of giajax" in told
     assert "torque is not recorded: 0.3 N m" in told
     channels = {"pressure": [1e5], "contraction": [0.1], "phase": ["fill"], "force": [1.0]}
     muscle = Run.from_arrays(None, channels)

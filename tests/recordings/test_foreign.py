@@ -223,7 +223,7 @@ def test_a_file_is_known_by_its_content(tmp_path, name):
         ("a,b\n1,2\n", {}, "DeepLabCut (the rows scorer, bodyparts and coords); SLEAP"),
         ("\x89PNG\r\n\x1a\n\0\0", {}, "is in none of the formats that can be read: DeepLabCut"),
         ("", {}, "is in none of the formats that can be read"),
-        ("q," * 100_001 + "q", {}, "has 100,002 cells in a row, but may have 100,000 at most"),
+        ("q," * 100_001 + "q", {}, "has 100,002 cells in a row, but may have at most 100,000"),
         (DEEP, {"frame_rate": 1.0, "unit": "inch"}, "the unit of a length is 'inch'"),
         (DEEP, {"frame_rate": 1.0, "unit": "m", "axes": ("x", "z")}, "has 3 coordinates, but"),
         (DEEP, {"axes": ("x", "u")}, "the axes are x,u: give each"),

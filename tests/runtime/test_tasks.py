@@ -197,7 +197,7 @@ class Gone(InProcess):
 
 def test_a_scheduler_that_is_gone_is_told(monkeypatch):
     monkeypatch.setattr("giajax.runtime.execution._BETWEEN_S", 0.01)
-    with pytest.raises(InputError, match="the scheduler is lost: start it again"):
+    with pytest.raises(InputError, match="the scheduler no longer answers: start it again"):
         run_tasks(tasks_of(small_jobs.double, [1]), executor=Gone())
 
 

@@ -60,7 +60,7 @@ def test_what_is_known_before_is_drawn_anew(result, runs):
     one = giajax.bootstrap(known, runs, size=SIZE).parameters[path]
     assert abs(one.ratio - 1) < 3.5 / np.sqrt(2 * (SIZE - 1))
     assert abs(one.bias) < 3.5 * one.bias_error
-    with pytest.raises(InputError, match="a fit with priors cannot be repeated whole"):
+    with pytest.raises(InputError, match="a fit with priors cannot be repeated as a whole"):
         giajax.bootstrap(known, runs, whole=True)
 
 

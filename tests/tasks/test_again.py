@@ -54,7 +54,7 @@ def test_the_same_fit_again_has_the_same_numbers(path):
     stored = stored_result("giajax-out/loops_fit/result.json")[1]
     assert compared(second, stored) == "all numbers are identical, bit for bit"
     stored["parameters"]["elastic"]["value"] *= 1 + 1e-9
-    assert "the relative difference of elastic is 1.0e-09" in compared(second, stored)
+    assert "the relative difference in elastic is 1.0e-09" in compared(second, stored)
 
 
 def test_more_starts_are_added_to_those_of_a_result(path):
@@ -174,7 +174,7 @@ def test_what_cannot_be_fitted_again_says_so(path):
     with pytest.raises(InputError, match=r"that was stopped.*--resume short"):
         FitTask.again("short")
     earlier = Path(__file__).parents[1] / "fitting" / "earlier"
-    with pytest.raises(InputError, match="earlier version wrote it"):
+    with pytest.raises(InputError, match="written by an earlier version"):
         FitTask.again(earlier)
     with pytest.raises(InputError, match="does not exist"):
         FitTask.again("nowhere")

@@ -115,7 +115,7 @@ def test_the_last_word_on_a_parameter_counts(path):
         ('bounds."a" = [1, nan]', "fit.bounds.a = nan must be a list of two numbers"),
         ('ties."a" = 2', "fit.ties.a = 2 must be an expression in quotes"),
         ('ties."a" = "2"', "fit.ties is not valid for a, because the expression '2' contains no"),
-        ('ties."a" = "f(b)"', "expression 'f.b.' must consist of numbers, parameter"),
+        ('ties."a" = "f(b)"', "expression 'f.b.' may contain only numbers, parameter"),
         ('groups."a" = ["x"]', "must be a list of lists of run names"),
         ('per_run = "a"', "fit.per_run = 'a' must be a list of parameter paths"),
     ],

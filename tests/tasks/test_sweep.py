@@ -74,7 +74,7 @@ def test_a_sweep_goes_on_and_compiles_nothing(swept, compiled, capsys):
     assert main(words) == 1
     assert compiled() == programs
     printed = capsys.readouterr()
-    assert "4 of 12 fits already exist" in printed.err
+    assert "4 of 12 fits are already done" in printed.err
     assert "12 fits: 6 converged, 6 failed" in printed.out
     # Each estimate has its error, and a suitable number of digits.
     assert re.search(r"converged +0\.\d+ ± 0\.\d+ +0\.\d+ ± 0\.\d+ +adequate", printed.out)

@@ -241,7 +241,7 @@ def _joints(model: "mujoco.MjModel", axes: Array, lost: list[str]) -> dict[str, 
             "joint limits become end stops with a default stiffness (joints.laws.end_stops)"
         )
         if np.any((limits[:, 0] > 0) | (limits[:, 1] < 0)):
-            lost.append("the range of a joint that does not contain 0 is extended to 0")
+            lost.append("a joint range that does not contain 0 is extended to 0")
         if np.any(np.abs(limits) > np.pi) or not np.all(model.jnt_limited):
             lost.append(
                 "joints without limits are given limits of 180 deg, because other joints have "

@@ -132,8 +132,8 @@ def extra_insensitive(period: float, damping: float) -> Impulses:
     """
     if not damping <= _MOST_DAMPED_EI:
         raise InputError(
-            f"the damping ratio is {damping:g}, but EI exists only up to {_MOST_DAMPED_EI}: use "
-            "another shaper"
+            f"the damping ratio is {damping:g}, but EI shapers exist only for ratios up to "
+            f"{_MOST_DAMPED_EI}: use another shaper"
         )
     shape = _extra_insensitive(round(damping, 6))
     return Impulses(shape.times * period, shape.sizes)
@@ -399,7 +399,7 @@ def shape_command(
     if command.angles.shape[1] != arm.count:
         raise InputError(
             f"the command has angles of {command.angles.shape[1]} joints, but the arm has "
-            f"{arm.count}"
+            f"{arm.count}: give angles for each joint of the arm"
         )
     if arm.pneumatics is not None:
         raise InputError(
@@ -423,7 +423,7 @@ def shape_command(
         rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
     if modes[0].damping > _MOST_DAMPED:
         notes.append(
-            "the air overdamps a swing of this size: the arm comes to rest without swinging"
+            "a swing of this size is overdamped by the air: the arm comes to rest without swinging"
         )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")

@@ -36,7 +36,7 @@ Examples:
   giajax simulate --ramp 1=30 --to run.csv
                             simulate a run
   giajax examples           list the supplied runs and fit definitions
-  giajax joint --out DIR    compute paths, forces and equilibria of a joint
+  giajax joint --out DIR    compute muscle forces and equilibria of a joint
   giajax fit --data run.csv
                             fit drag, stiffness and damping to the run
   giajax report giajax-out/run
@@ -62,7 +62,7 @@ Examples:
   giajax choose --data loops.csv
                             select a hysteresis model for a joint
   giajax compensate fit --target target.csv --to command.csv
-                            compute commands that compensate the hysteresis
+                            compute commands that compensate for hysteresis
   giajax design giajax-out/run --parameter air.drag_coefficient --out next
                             design the command and markers of an experiment
   giajax shape command.csv --model giajax-out/run --out shaped
@@ -84,7 +84,7 @@ Examples:
                             reproduce the paper's figures and tables
 
 A run is a CSV file with one column for each channel (such as time_s,
-joint01_command_deg or link06_z_m). A sidecar file of the same name with the
+joint01_command_deg or link06_z_m). A sidecar file with the same name and the
 extension .toml can describe the run."""
 
 

@@ -131,7 +131,8 @@ _PLUGINS = Parameter(
     annotation=Annotated[
         Paths,
         "FILE.py",
-        "Load a plug-in that registers laws, winds, losses, solvers, sensors or models.",
+        "Load a plug-in that registers drag or joint laws, wind fields, loss functions, solvers, "
+        "sensors or models.",
     ],
 )
 
@@ -174,11 +175,12 @@ def with_options(registered: Registered) -> Function:
             load_plugin(path)
         if (formats or dpi) and given.get("figures") is False:
             raise InputError(
-                "--format and --dpi have no effect with --no-figures: omit them or --no-figures"
+                "--format and --dpi have no effect with --no-figures: omit --no-figures, or omit "
+                "--format and --dpi"
             )
         if (formats or dpi) and may_only_print and given["out"] is None:
             raise InputError(
-                "no picture is written without --out: add it, or omit --format and --dpi"
+                "no picture is written without --out: add --out DIR, or omit --format and --dpi"
             )
         with pictures_as(formats or (), dpi):
             function(**given)
@@ -324,7 +326,7 @@ class Translation:
         for form, news in self._found.items():
             for new in self._given.intersection(news):
                 old, now = forms[form]
-                many = "" if form else f"{shown(self._word)} is an unexpected argument: "
+                many = "" if form else f"{shown(self._word)} is an unexpected argument; "
                 raise InputError(
                     f"{many}{old} is now {now}, but {new} is also given: omit one of them"
                 )
@@ -515,8 +517,8 @@ def run(command: Any, arguments: list[str]) -> int:
             return status or BROKEN_PIPE
         if out.error is not None:
             _say(
-                f"standard output cannot be written ({out.error.strerror}): the rest of the output "
-                "is lost, but all files that were written are complete",
+                f"standard output cannot be written to ({out.error.strerror}): the rest of the "
+                "output is lost, but all files that were written are complete",
                 BROKEN,
             )
             return status or BROKEN
@@ -627,7 +629,7 @@ def _cell(value: Any) -> str:
 Browser = Annotated[bool, "Open the page in a browser, or only print its address."]
 Digits = Annotated[int, "N", "Number of significant digits in the files.", 3, 17]
 Force = Annotated[bool, "Overwrite existing files."]
-Host = Annotated[str, "ADDRESS", "Address of the server; 0.0.0.0 for all interfaces."]
+Host = Annotated[str, "ADDRESS", "Address on which the server listens; 0.0.0.0 for all interfaces."]
 Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
 OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without the unit."]
@@ -638,7 +640,7 @@ Settings = Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5 or springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the numerical integration."]
 ToRun = Annotated[Path, "RUN.csv", "Output file for the run."]
-Wind = Annotated[str | None, "X,Y,Z", "Constant velocity of the air (m/s)."]
+Wind = Annotated[str | None, "X,Y,Z", "Constant wind velocity (m/s)."]
 
 Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as column NEW."]
 
@@ -738,10 +740,10 @@ def origin(context: typer.Context) -> str:
     return " ".join(words)
 
 
-Workers = Annotated[int | None, "N", "Number of processes on this machine. [default: 1]", 1]
+Workers = Annotated[int | None, "N", "Number of worker processes on this machine. [default: 1]", 1]
 
 Scheduler = Annotated[
-    str | None, "ADDRESS", "Compute on the dask.distributed cluster at tcp://host:8786."
+    str | None, "ADDRESS", "Address of a dask.distributed cluster, such as tcp://host:8786."
 ]
 
 STARTS = "starts"  # Folder with a file for each start that workers fit, beside the journal.
@@ -775,7 +777,10 @@ def workers_of_starts(
         yield {}
         return
     if starts < 2:
-        raise InputError("a single start needs only one process: add --starts N")
+        raise InputError(
+            "a single start uses only one process: add --starts N, or omit --workers and "
+            "--scheduler"
+        )
     from ..runtime.execution import open_executor
 
     with open_executor(workers, scheduler) as executor:
@@ -803,7 +808,7 @@ class ManyProgress:
     def __call__(self, outcome: "Outcome", done: int, total: int) -> None:
         self._failed += outcome.status == "failed"
         if self._first is None and done > 1:
-            typer.echo(f"{done - 1} of {total} {self._what} already exist", err=True)
+            typer.echo(f"{done - 1} of {total} {self._what} are already done", err=True)
         self.after(done, total)
 
     def after(self, done: int, total: int) -> None:

@@ -36,8 +36,8 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. Differences are relative to
 the first result and are divided by the combined standard error. BIC is shown if
-all results were fitted to the same data with the same noise and loss.
-Otherwise, a note explains why it is missing.""",
+all fits have the same data, noise and loss function. Otherwise, a note explains
+why BIC is missing.""",
     group="fit",
     old={"--out": "--page"},
 )
@@ -50,7 +50,8 @@ def compare(
 ) -> None:
     """Compare the estimates of several fits.
 
-    Shows whether they agree to within their errors, and which fit describes the data better.
+    Shows whether the estimates agree to within their errors, and which fit describes the data
+    better.
     """
     check_quiet(quiet, written=page, as_json=as_json, by="--page FILE.html or --json")
     if len(results) < 2:
@@ -110,10 +111,10 @@ Examples:
   giajax choose --data loops.csv --only preisach --only bouc_wen
                             compare only these two models
 
-The models are sorted by their error on the held-out loops. Models whose fit did
-not converge come last. AIC and BIC refer to the fitted part of the data and are
-relative to the smallest value. A small difference in BIC combined
-with a large difference on the held-out loops indicates overfitting.""",
+The models are sorted by their prediction error on the held-out loops. Models
+whose fit did not converge come last. AIC and BIC refer to the fitted part of the
+data and are relative to the smallest value. A small difference in BIC combined
+with a large difference in the error on the held-out loops indicates overfitting.""",
     group="fit",
     old={"--held-out": "--validation"},
 )
@@ -121,16 +122,16 @@ def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit the models to."],
     validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     fraction: Annotated[
-        float, "F", "Fraction of each run held out at its end if --validation is not given."
+        float, "F", "Fraction held out at the end of each run if --validation is not given."
     ] = 0.3,
-    only: Annotated[Texts, "NAME", "Compare only this model."] = None,
+    only: Annotated[Texts, "NAME", "Include only this model."] = None,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Annotated[bool, "Do not print the progress."] = False,
 ) -> None:
-    """Compare models of hysteresis on held-out loops.
+    """Compare hysteresis models on held-out loops.
 
-    Each model is first fitted to other loops.
+    Each model is first fitted to the remaining loops.
     """
     from ..recordings import parse_rename, read_run
 

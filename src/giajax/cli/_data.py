@@ -38,7 +38,8 @@ Examples:
 
 \b
 Notes on implausible units, signs, labels, lost cells, glitches and constants
-come first. Values are judged by their magnitude. No file is changed.
+precede the other notes. The checks are based on the magnitude of the values.
+No file is changed.
 Exit status: 0 success; 2 bad input or usage; 3 with --strict, if a value is
 implausible.""",
     group="first",
@@ -133,8 +134,8 @@ def init(
 ) -> None:
     """Write a sidecar template for a run.
 
-    It contains the values that follow from the run file. All other applicable keys are listed as
-    comments, with their units and meanings.
+    The template contains the values that follow from the run file. All other applicable keys are
+    listed as comments, with their units and meanings.
     """
     from ..recordings import parse_rename, sidecar_path, sidecar_template, write_files
 
@@ -172,8 +173,8 @@ Examples:
       --to run.csv          a table with known column names
 
 \b
-Next: giajax init --data run.csv writes a section for each camera, and
-giajax fit --data run.csv fits the run.""",
+After the import, giajax init --data run.csv writes a sidecar with a section
+for each camera, and giajax fit --data run.csv fits the run.""",
     group="data",
     old={
         "--out": "--to",
@@ -188,8 +189,9 @@ def import_(
         argument(
             "FILE",
             "A text file from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
-            "phyphox, or a table with giajax column names, separated by commas, semicolons or "
-            "tabs. Also a ROS 2 bag: a folder, .mcap or .db3 (needs pip install 'giajax[ros]').",
+            "phyphox; a table with giajax column names and with columns separated by commas, "
+            "semicolons or tabs; or a ROS 2 bag, which is a folder, .mcap or .db3 (needs pip "
+            "install 'giajax[ros]').",
         ),
     ],
     to: ToRun,
@@ -200,14 +202,14 @@ def import_(
         "joint01 or a channel.",
     ] = None,
     camera: Annotated[
-        str | None, "NAME", "Name of the camera; required if there are several."
+        str | None, "NAME", "Name of the camera; required if there are several cameras."
     ] = None,
     frame_rate: Annotated[
         float | None,
         "HZ",
-        "Frame rate of the film in frames per second. It replaces the times in the file.",
+        "Frame rate of the film in frames per second, used instead of the times in the file.",
     ] = None,
-    likelihood: Annotated[float, "P", "Treat points with a lower likelihood as missing."] = 0.6,
+    likelihood: Annotated[float, "P", "Treat points with a likelihood below P as missing."] = 0.6,
     unit: Annotated[
         str | None, "UNIT", "Unit of length if the file does not specify it: m, cm or mm."
     ] = None,
@@ -220,8 +222,8 @@ def import_(
     axes: Annotated[
         str | None,
         "AXES",
-        "Axes of the base frame for the coordinates in the file: x,z for a side view, x,y "
-        "for a top view, x,z,-y for 3-D coordinates.",
+        "Axes of the base frame that correspond to the coordinates in the file: x,z for a side "
+        "view, x,y for a top view, x,z,-y for 3-D coordinates.",
     ] = None,
     flip: Annotated[
         Texts, "NAME", "Change the sign of an axis, such as z, or of a channel."
@@ -238,12 +240,13 @@ def import_(
     command: Annotated[
         Path | None,
         "FILE",
-        "A run on the same clock as the film, with commands or with points from another camera.",
+        "A run recorded with the clock of the film, with commands or with points from another "
+        "camera.",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert the output of a tracking or measuring program to a run.
+    """Convert the output of a tracking or other program to a run.
 
     The program is recognised from the file. Each point becomes the channels of a link, of the tip
     or of a landmark, in pixels or in space. Commands sampled at another rate keep their own rows.
@@ -439,11 +442,12 @@ Examples:
 def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."] = False) -> None:
     """Show or clear the cache of compiled programs.
 
-    Each command reuses the programs for its model and data. A file from another version of giajax,
-    or a damaged one, is not used. Only --clear removes files. The folder is giajax in the user's
-    cache directory, or the folder in JAX_COMPILATION_CACHE_DIR. From the latter, --clear removes
-    only files that giajax wrote. A folder that other users can write to, or that belongs to another
-    account, is not used, because its programs are not trusted.
+    Each command reuses the programs for its model and data. Damaged files and files from another
+    version of giajax are not used. Only --clear removes files. The cache folder is giajax in the
+    user's cache directory, unless the variable JAX_COMPILATION_CACHE_DIR specifies another folder.
+    From this other folder, --clear removes only files that giajax wrote. A folder that other users
+    can write to, or that belongs to another account, is not used, because programs from such a
+    folder are not trusted.
     """
     from ..runtime.process import PROGRAMS, compilation_cache
     from ..runtime.programs import SUFFIX

@@ -270,9 +270,9 @@ Examples:
                             replay pad inputs as fast as possible
 
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
-the tip. Sliders and presets move any joint. If the pad, the browser tab or the
-connection is lost, the arm holds its position. Ctrl-C ends the drive and saves it
-as a run that giajax fit can read. A pad file assigns sticks and buttons:
+the tip. Sliders and presets move any joint. If the pad or the connection is lost
+or the browser tab is closed, the arm holds its position. Ctrl-C ends the drive and
+saves it as a run that giajax fit can read. A pad file assigns sticks and buttons:
 
 \b
   [pad]
@@ -301,7 +301,7 @@ def drive(
     pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"] = None,
     wind: Annotated[str | None, "X,Y,Z", "Mean wind velocity (m/s)."] = None,
     gusts: Annotated[
-        str | None, "I:L", "Intensity and length scale (m) of gusts about --wind."
+        str | None, "I:L", "Intensity and length scale (m) of gusts about the mean wind."
     ] = None,
     compensate: Annotated[
         Path | None, "RESULT", "Fit of the hysteresis of a joint, used for compensation."
@@ -316,7 +316,9 @@ def drive(
         "Output file for the run. [default: drive-N.csv with the next free N]",
     ] = None,
     channels: Annotated[Texts, "CHANNEL", "Channel to record, named as in giajax simulate."] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Noise standard deviation for a key of [noise]."] = None,
+    noise: Annotated[
+        Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
+    ] = None,
     every: Annotated[int, "N", "Record every N-th row.", 1] = 3,
     seed: Annotated[int, "N", "Seed of noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
@@ -408,8 +410,9 @@ Examples:
   giajax view run.csv --no-browser --host 0.0.0.0 --port 8100
                             serve a browser on another machine
 
-WHAT is a recorded or simulated run, the folder of a fit (or its result.json) or
-of a track, or the TOML file of an arm. TRUE.csv needs a sidecar with an [arm] section.
+WHAT is a recorded or simulated run, the folder of a fit (or its result.json), the
+output folder of giajax track, or the TOML file of an arm. TRUE.csv needs a sidecar
+with an [arm] section.
 The server listens on this machine only unless --host is given. The page opens only with
 its full address, which contains a token.""",
     group="first",
@@ -436,9 +439,9 @@ def view(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show an arm in a browser: balloons, markers, forces.
+    """Show an arm in a browser, with balloons, markers and forces.
 
-    Shows obstacles, recorded and modelled markers, and a time bar.
+    The page also shows obstacles, recorded and modelled markers, and a time bar.
     """
     from ..recordings import check_output_files, parse_rename, read_run, write_files
 
@@ -447,7 +450,10 @@ def view(
     renamed = parse_rename(rename or [])
     for path in what:
         if not path.exists():
-            raise InputError(f"{path} does not exist: give a run, the folder of a fit, or an arm")
+            raise InputError(
+                f"{path} does not exist: give a run, the folder of a fit, or the "
+                "TOML file of an arm"
+            )
     true = None if truth is None else read_run(truth, rename=renamed)
     configure()
     import numpy as np

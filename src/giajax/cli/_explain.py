@@ -86,8 +86,8 @@ def explain(
 ) -> None:
     """Find the effects that a model lacks, and fit them.
 
-    Tests for camera delay, wind, friction, swapped axes, outliers and every other effect of the
-    model.
+    Tests for camera delay, wind, friction, swapped axes, outliers and every other effect that the
+    model supports.
     """
     from ..recordings import parse_rename, write_files
     from ..report import check_page

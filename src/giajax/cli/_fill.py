@@ -40,13 +40,13 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  filling.json            times when each link is full and lifts itself
+  filling.json            times at which each link is full and lifts itself
   filling.csv             fullness, pressure, lift and stiffness over time
-  filling.png             the same as a figure
+  filling.png             the same data as a figure
   inflation.toml          the filled arm, with the pressure of each link
-  curve.csv, curve.png    ports and supplies for a filling time of 23 min
+  curve.csv, curve.png    ports and supplies that fill the arm in 23 min
 
-A definition is a TOML file with an [arm] and a [filling], such as
+A definition is a TOML file with [arm] and [filling] sections, such as
 
 \b
   [filling]
@@ -62,8 +62,10 @@ def fill(
         Path | None, argument("DEFINITION", "TOML file with [arm] and [filling] sections.")
     ] = None,
     pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
-    minutes: Annotated[float, "MIN", "Filling time for the curve of port diameters."] = 23.0,
-    no_curve: Annotated[bool, "Do not compute the curve of port diameters."] = False,
+    minutes: Annotated[
+        float, "MIN", "Filling time for the curve of supply versus port diameter."
+    ] = 23.0,
+    no_curve: Annotated[bool, "Do not compute the curve of supply versus port diameter."] = False,
     out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
     force: Force = False,
@@ -72,8 +74,8 @@ def fill(
     """Fill an arm of balloons with helium, link by link.
 
     Computes the state of each link over time. The bags form a row with ports between them, and the
-    gas is supplied at the base (the paper's fig. 15). Also computes the combinations of port and
-    supply for which filling takes 23 minutes, as in the paper.
+    gas is supplied at the base (the paper's fig. 15). Also computes the combinations of port
+    diameter and gas supply for which filling takes 23 minutes, as in the paper.
     """
     from ..recordings import Definition, check_output_folder
 
@@ -145,7 +147,7 @@ def say_lift_off(seconds: float) -> None:
     """Print the time at which an arm lifts itself; NaN means that it never does."""
     said = "the lift is too small to carry the arm"
     if not math.isnan(seconds):
-        said = f"the arm lifts itself at {seconds / 60:.2f} min"
+        said = f"the arm lifts itself after {seconds / 60:.2f} min"
     typer.echo(said)
 
 

@@ -366,7 +366,7 @@ def run_fit(
             )
         except KeyboardInterrupt:
             if journal.is_begun:
-                _complain(f"the computed part of the fit is kept: {_go_on(task)}")
+                _complain(f"the computed part of the fit is kept; {_go_on(task)}")
             raise
         if progress is not None:
             # Separate the iterations from the table by a blank line if both are on one screen.
@@ -473,8 +473,8 @@ class Settings(TypedDict):
         "PATH=EXPRESSION",
         "Express a parameter in terms of others: links.mass=links.mass[0].",
     ]
-    per_run: Annotated[Texts, "PATH", "Fit a separate value for each run."]
-    group: Annotated[Texts, "PATH=RUN,RUN", "Fit one value shared by these runs."]
+    per_run: Annotated[Texts, "PATH", "Fit a separate value of this parameter for each run."]
+    group: Annotated[Texts, "PATH=RUN,RUN", "Fit one value of a parameter for these runs."]
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."]
     nuisances: Annotated[
         bool | None,
@@ -482,7 +482,7 @@ class Settings(TypedDict):
         "--nuisances/--no-nuisances",
     ]
     channels: Annotated[
-        Texts, "CHANNEL", "Fit only this channel, named without the unit: link20_z."
+        Texts, "CHANNEL", "Fit only this channel, named without the unit, such as link20_z."
     ]
     hold_out: Annotated[
         Texts, "NAME", "Hold out a run, a channel, or the last fifth of each run (last)."
@@ -499,9 +499,13 @@ class Settings(TypedDict):
         int | None, "N", "Number of initial guesses; the best fit is kept. [default: 1]", 1
     ]
     spread: Annotated[
-        float | None, "X", "Relative spread of the other initial guesses. [default: 0.3]"
+        float | None,
+        "X",
+        "Relative spread of the initial guesses about the first one. [default: 0.3]",
     ]
-    seed: Annotated[int | None, "N", "Seed of the other initial guesses. [default: 0]", 0]
+    seed: Annotated[
+        int | None, "N", "Seed of the initial guesses after the first one. [default: 0]", 0
+    ]
     loss: Annotated[
         str | None,
         "NAME",
@@ -512,7 +516,7 @@ class Settings(TypedDict):
     ]
     noise_per_run: Annotated[
         bool | None,
-        "Estimate the noise for each run, or jointly for all runs. [default: jointly]",
+        "Estimate the noise separately for each run, or jointly for all runs. [default: jointly]",
         "--noise-per-run/--noise-pooled",
     ]
     solver: Annotated[str | None, "NAME", "Integration method, such as tsit5. [default: springs5]"]
@@ -589,27 +593,28 @@ Examples:
   giajax fit --resume giajax-out/long
                             continue a fit that was stopped
   giajax fit --again giajax-out/run/result.json
-                            repeat the same fit
+                            repeat a fit with the same data and settings
   giajax fit --data other.csv --from giajax-out/run
                             fit another run with a warm start
 
 `giajax parameters` lists the names and units of parameters. A parameter with
-several elements takes one VALUE for all, or one for each: camera.origin=0.1,0,0.
+several elements takes one VALUE for all elements, or one for each of them, such as
+camera.origin=0.1,0,0.
 The table and the summary are printed to standard output. The progress is
 printed to standard error.
 
 \b
 Exit status: 0 converged; 1 ended without convergence (the result is
 written and marked as not converged); 2 bad input or usage; 3 with --strict,
-if the model does not describe the data or is doubtful; 4 another error;
-130 interrupted, 143 by SIGTERM, 129 if the terminal was closed (the best
-point so far is written). A second Ctrl-C ends the program at once.
+if the model is inadequate or doubtful; 4 another error; 130 interrupted,
+143 by SIGTERM, 129 if the terminal was closed (the best result so far is
+written). A second Ctrl-C ends the program at once.
 
 DIR/journal.jsonl records every step. After a crash, Ctrl-C or the
 end of a budget, --resume DIR continues from the last step and gives the same
-result.
-With --workers or --scheduler, other processes fit the remaining initial guesses
-after the first one has converged.""",
+result as a fit that was not stopped.
+With --workers or --scheduler, other processes fit from the remaining initial
+guesses after the first fit has converged.""",
     group="first",
     pictures=True,
     settings_after="data",
@@ -636,7 +641,7 @@ def fit(
     ] = None,
     force: Force = False,
     as_json: Json = False,
-    strict: Annotated[bool, "Exit with status 3 if the model does not fit the data."] = False,
+    strict: Annotated[bool, "Exit with status 3 if the model is inadequate or doubtful."] = False,
     quiet: Quiet = False,
     suspects: Annotated[bool, "Test fixed and omitted parameters after the fit."] = True,
     figures: Annotated[bool, "Draw figures of the result."] = True,
@@ -648,8 +653,9 @@ def fit(
 ) -> None:
     """Fit parameters to runs.
 
-    Without further options, fits the drag coefficient, pitch and yaw stiffness and damping of an
-    arm. The columns of the runs determine the model. Their sidecars determine its constants.
+    Without further options, fits the drag coefficient, the pitch and yaw stiffness, and the damping
+    of an arm. The columns of the runs determine the model. The sidecars of the runs determine the
+    constants of the model.
     """
     from ..recordings import parse_rename
 

@@ -34,9 +34,9 @@ _ANGLES = (60.0, 30.0, 10.0, 2.0, -2.0, -10.0, -30.0, -60.0)
 @command(
     """\b
 Examples:
-  giajax joint --out joint  draw the preset, and write its tables
+  giajax joint --out joint  draw the preset joint, and write its tables
   giajax joint --out joint --torque 0.5 --angle 45 --angle 0 --angle -45
-                            use another torque, and draw three angles
+                            use another torque, and draw the joint at 3 angles
   giajax joint joint.toml --out joint --target-angle 30
                             use your joint and a target angle of 30 deg
   giajax joint --out joint --set alpha.offset=0.05 --force
@@ -46,9 +46,9 @@ Examples:
 
 \b
 The command writes
-  fig09.png, fig09.csv    contraction and force, without corrections
-  fig10.png, fig10.csv    the same, with alpha and beta
-  corrections.png, .csv   alpha and beta, as corrected and as printed
+  fig09.png, fig09.csv    muscle contraction and force, without corrections
+  fig10.png, fig10.csv    the same, with the corrections alpha and beta
+  corrections.png, .csv   alpha and beta, corrected and as in the paper
   joint.png, points.csv   the joint at a few angles, and its marked points
   equilibria.png, .csv    equilibria for two pressures, and their stiffness
 
@@ -67,11 +67,13 @@ def joint(
     ] = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
-    target_angle: Annotated[float, "DEG", "Angle for which the two pressures are computed."] = 20.0,
+    target_angle: Annotated[
+        float, "DEG", "Joint angle for which both muscle pressures are computed."
+    ] = 20.0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw one joint at rest: paths, forces and equilibria.
+    """Draw one joint at rest, its muscle forces and its equilibria.
 
     Draws the paper's figs 9 and 10, the joint at a few angles, and its equilibria for two
     pressures.
@@ -161,7 +163,10 @@ def _show(pair: Any, target: float) -> None:
         if is_there:
             print(f"the torque also drives the joint against its stop at {end} deg")
     if rests.indifferent:
-        print("no torque acts on the joint in a range of angles, so all of these are equilibria")
+        print(
+            "no torque acts on the joint in a range of angles, so every angle in this range is an "
+            "equilibrium"
+        )
 
 
 @command(
@@ -174,8 +179,8 @@ Examples:
   giajax compensate --loop loop.csv --travel 40 --target target.csv \\
       --to command.csv      use a measured loop instead of a fit
 
-target.csv has a column for the target angle (angle_deg) or output, and optionally one for
-the time. The output predicted by the fitted model is written beside the commands.""",
+target.csv has a column for the target angle (angle_deg) or output, and optionally a time
+column. If a fit is used, the output file also contains the output that it predicts.""",
     group="plan",
     old={"--model": "RESULT", "--out": "--to"},
 )
@@ -186,7 +191,7 @@ def compensate(
         Path | None, argument("RESULT", "A fit (result.json or its folder) to invert.")
     ] = None,
     loop: Annotated[
-        Path | None, "RUN.csv", "A measured loop for eq. (12), instead of a fit."
+        Path | None, "RUN.csv", "A measured loop for eq. (12) of the paper, instead of a fit."
     ] = None,
     travel: Annotated[
         float | None,
@@ -201,8 +206,8 @@ def compensate(
 ) -> None:
     """Compute the commands that reach target outputs.
 
-    A fit is inverted. The inverse is exact for the Prandtl-Ishlinskii operator and its modified
-    form. With --loop, eq. (12) of the paper is used.
+    The fitted model is inverted. The inverse is exact for the Prandtl-Ishlinskii operator and its
+    modified form. With --loop, eq. (12) of the paper is used.
     """
     if (result is None) == (loop is None):
         raise typer.BadParameter(

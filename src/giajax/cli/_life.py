@@ -156,6 +156,6 @@ def _show(life: "Life") -> None:
         f"exchanged energy, {life.momentum_imbalance:.1e} of the impulses"
     )
     typer.echo(
-        "the balances of the mission are from a second simulation, whose angles agree to within "
-        f"{life.apart:.1e} rad"
+        "the balances of the mission are from a second simulation, whose joint angles differ by "
+        f"at most {life.apart:.1e} rad"
     )

@@ -142,15 +142,15 @@ Examples:
 \b
 With --out DIR, the command writes
   mission.json, mission.png   time of entry, contacts and path of the tip
-  run.csv, run.toml           commands, wind and tip as a run
+  run.csv, run.toml           commands, wind and tip position as a run
 or, for many missions,
   cases.json, cases.csv, cases.png
-                              success rate and time versus wind speed
+                              success rate and time of entry versus wind speed
 or, with a recording,
   certificate.json, certificate.csv, certificate.png
-                              probability, and the missions it is based on
+                              success probability, and the underlying missions
 
-MISSION is a file with an arm, [[arm.obstacles]], a [camera.NAME] at the tip, and
+MISSION is a TOML file with an arm, [[arm.obstacles]], a [camera.NAME] at the tip, and
 
 \b
   [mission]
@@ -203,7 +203,7 @@ def mission(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Steer an arm to an opening with a camera, or hold it there.
+    """Use a camera to steer an arm to an opening, or hold it there.
 
     The camera is at the tip. As in the paper's mock-up, there are gusts, joint hysteresis, image
     delay and a time limit. A single mission is written as a run for `giajax view`. Many missions
@@ -222,10 +222,10 @@ def mission(
         speeds = _SPEEDS if resting_run is None else _RANGE
     flown_at = numbers(speeds)
     if flown_at is None or min(flown_at) < 0:
-        raise InputError(f"--speeds is '{speeds}': give numbers of at least 0, such as 0,0.1,0.2")
+        raise InputError(f"--speeds is '{speeds}': give non-negative numbers, such as 0,0.1,0.2")
     flown_at = list(dict.fromkeys(flown_at))
     if speed is not None and not 0 <= speed < math.inf:
-        raise InputError(f"--speed is {speed:g}: give a number of at least 0")
+        raise InputError(f"--speed is {speed:g}: give a non-negative number")
     if keep_station is not None and not 1 <= keep_station <= _LONGEST:
         raise InputError(
             f"--keep-station is {keep_station:g}: give a time from 1 to {_LONGEST:g} s"
@@ -267,7 +267,7 @@ def mission(
     if resting_run is not None:
         count = _CASES if cases is None else cases
         if count < FEWEST_CASES:
-            raise InputError(f"--cases is {count}: give at least {FEWEST_CASES} for a probability")
+            raise InputError(f"--cases is {count}: give at least {FEWEST_CASES} missions")
         recorded = read_run(resting_run, definition=definition)
         resting = Resting.from_run(recorded, planned.model)
         if recorded.winds and not quiet:
@@ -329,8 +329,8 @@ def tell_certificate(
         write_folder(out, certificate_files(mission, found, **origin), force=force)
     if found.unlike and not quiet:
         typer.echo(
-            "note: the recording does not resemble any of the simulated arms at rest, because the "
-            "arm differs from the file or the wind exceeds --speeds: do not rely on the "
+            "note: the recording does not resemble any of the simulated arms at rest. Either the "
+            "arm differs from the file, or the wind speed exceeds --speeds: do not rely on the "
             "probability",
             err=True,
         )
@@ -342,8 +342,8 @@ def tell_certificate(
     least, middle, most = found.air
     inside = sum(case.reached is not None for case in found.near)
     typer.echo(
-        f"{inside} of the {len(found.near)} missions with the most similar motion at rest (of "
-        f"{len(found.cases)}) are successful. The wind speed in these missions is {least:.2f} to "
+        f"{inside} of the {len(found.near)} missions (of {len(found.cases)}) whose motion at rest "
+        f"is most similar are successful. The wind speed in these missions is {least:.2f} to "
         f"{most:.2f} m/s, with a median of {middle:.2f} m/s.\n\n"
         f"probability of success within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
         f"(95 % interval: {low:.0f} to {high:.0f} %)"
@@ -364,6 +364,6 @@ def _progress() -> Callable[[int, int], None] | None:
 
     def say(done: int, whole: int) -> None:
         end = "\n" if done == whole else ""
-        print(f"\rflown {done} of {whole}", end=end, file=sys.stderr, flush=True)
+        print(f"\rflown {done} of {whole} missions", end=end, file=sys.stderr, flush=True)
 
     return say if sys.stderr.isatty() else None

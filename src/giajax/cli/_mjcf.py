@@ -29,7 +29,7 @@ A MuJoCo file is converted to the [arm] section of a sidecar. An arm, or a fit
 of an arm, is converted to a folder with the files
 
 \b
-  arm.xml                 the chain
+  arm.xml                 the chain of links
   air.py, air.json        the air forces as passive forces; see air.py
 
 This command needs pip install 'giajax[mujoco]'.""",
@@ -47,7 +47,7 @@ def mjcf(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Convert an arm from MJCF or URDF, or into MJCF.
+    """Convert an arm from MJCF or URDF, or to MJCF.
 
     MJCF output includes a Python file for the air forces. Features that are lost are reported.
     """

@@ -121,25 +121,25 @@ Examples:
 
 Each value is taken from the preset, the file or the sidecar of the run, or is the
 default. Parameters marked 'off' are omitted from the model. The options --start
-and --free of giajax fit switch such a parameter on with the listed value. An
+and --free of giajax fit switch such a parameter on at the listed value. An
 array has one element for each link or joint. For example, links.mass[0] is the
 first element of links.mass. For parameters marked 'assumed', the paper gives no
-value: estimate them by a fit.""",
+value: estimate these parameters by a fit.""",
     group="data",
     old_words="--data",
 )
 def parameters(
     data: Annotated[
-        Path | None, "RUN.csv", "List the parameters of this run's model. [default: the arm]"
+        Path | None, "RUN.csv", "List the parameters of this run's model. [default: the arm model]"
     ] = None,
-    arm: Annotated[Path | None, "FILE.toml", "TOML file of the arm and its sensors."] = None,
+    arm: Annotated[Path | None, "FILE.toml", "TOML file with the arm and its sensors."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [default: takeichi_20m]"] = None,
     links: Annotated[int | None, "N", "Number of links of the arm."] = None,
     as_json: Json = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.
 
-    Prints path, unit, value, bounds and meaning of each.
+    Prints path, unit, value, bounds and meaning of each parameter.
     """
     from ..recordings import Definition, read_run
 
@@ -268,8 +268,9 @@ Examples:
 
 MODEL is the folder of a fit, its result.json, or a TOML file in which the [arm]
 section (or the section of another model) describes a model with all its
-parameters. --without lists parameters that are not taken from MODEL: the
-sidecar of the run gives their values, or they are omitted.
+parameters. --without lists parameters that are not taken from MODEL. These
+parameters are taken from the sidecar of the run, or omitted if the sidecar does
+not specify them.
 A NAME is a group of parameters (camera, encoder, marker), a path, or the last
 part of a path.""",
     group="fit",

@@ -33,7 +33,7 @@ _PAGE = "index.html"
     """\b
 Examples:
   giajax paper fig5 --out paper
-                            write one figure, its data and their source
+                            write one figure, its data and their provenance
   giajax paper all --out paper
                             write everything and index.html; repeat the
                             command to continue after an interruption
@@ -45,12 +45,12 @@ NAME is
   fig5      links 6, 12 and 20 after a step of the base, with and without air
   fig6      the whole arm with its controller, with muscles and with springs
   fig9      contraction and force of a muscle in a joint, without corrections
-  fig10     the same, with alpha and beta
+  fig10     the same, with the corrections alpha and beta
   fig12     one link with hysteresis, without and with compensation
   fig19     links 2, 6, 12 and 20 in the models and in a simulated experiment
-  table3    concordance of the models with this experiment, with and without
-            air; --inverse searches for arms that give the values printed in
-            the paper (many minutes)
+  table3    concordance of the models with the experiment of fig19, with and
+            without air; --inverse searches for arms that give the values
+            printed in the paper (this takes many minutes)
 
 Each figure or table is written to NAME.png, NAME.csv and NAME.json. The JSON file
 records which values are printed in the paper, assumed or reconstructed.""",
@@ -58,7 +58,7 @@ records which values are printed in the paper, assumed or reconstructed.""",
     pictures=True,
 )
 def paper(
-    name: Annotated[str, argument("NAME", "See below, or 'all'.")],
+    name: Annotated[str, argument("NAME", "A figure or table (see below), or 'all'.")],
     out: Annotated[Path, "DIR", "Folder for figures and tables."],
     inverse: Annotated[bool, "For table3: search for arms that give the printed values."] = False,
     force: Force = False,
@@ -144,7 +144,7 @@ Examples:
   giajax fit --data fig12/recording.csv
                             repeat the fit for the inverse compensation
   giajax compensate fig12/result.json --target target.csv --to command.csv
-                            compute commands for a target of yours
+                            compute commands for your own target
 
 The folder contains fig12.png, its data in fig12.csv, errors.csv, the recording on which both
 compensations are based, and the fit for the inverse compensation.""",
@@ -160,11 +160,11 @@ def hysteresis(
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Track angles with a hysteretic joint, with compensation.
+    """Test hysteresis compensation on a joint that tracks angles.
 
     Simulates the experiment of the paper's section IV.A and fig. 12 on one joint. Eq. (12) and the
-    inverse of a modified Prandtl-Ishlinskii operator are compared on the paper's history and on
-    another one with minor loops.
+    inverse of a modified Prandtl-Ishlinskii operator are compared on the paper's angle history and
+    on another history with minor loops.
     """
     if not 0 < travel < math.inf:
         raise typer.BadParameter(f"--travel is {travel:g} deg: give a positive number")

@@ -41,7 +41,7 @@ Examples:
   giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
                             reach a pose as fast as the limits allow
   giajax plan --model my_arm.toml --tip 16,5,3 --out planned
-                            bring the tip to a position, in m
+                            bring the tip to a position (m)
   giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
                             move within 60 s with minimal swing
   giajax plan --model missions/naraha.toml --through housetop --out planned
@@ -58,7 +58,7 @@ are commanded to 0. The command writes
   path.csv                    the expected path of the tip, with uncertainty
   plan.json, plan.png         the result, compared with a direct command
 The air is still, and the arm is initially at rest. The paper does not give
-the largest rate of its arm: 2 deg/s is an assumption.""",
+the maximum joint rate of its arm: the default of 2 deg/s is an assumption.""",
     group="plan",
     pictures=True,
 )
@@ -68,7 +68,9 @@ def plan(
     out: Annotated[Path, "DIR", "Folder for the files."],
     pose: Annotated[Texts, "JOINT=DEG", "Target: commanded angle of a joint."] = None,
     tip: Annotated[str | None, "X,Y,Z", "Target: position of the tip (m)."] = None,
-    through: Annotated[str | None, "WALL", "Target: behind the opening of this wall."] = None,
+    through: Annotated[
+        str | None, "WALL", "Target: a position behind the opening of this wall."
+    ] = None,
     begin: Annotated[Texts, "JOINT=DEG", "Initial commanded angle of a joint. [default: 0]"] = None,
     duration: Annotated[
         float | None,
@@ -232,7 +234,7 @@ def _show(found: "Plan") -> None:
 
     typer.echo(
         f"travel of the tip {found.travel:.3g} m, to "
-        f"({', '.join(f'{each:.3g}' for each in found.goal)}) m; slowest natural "
+        f"({', '.join(f'{each:.3g}' for each in found.goal)}) m; longest natural "
         f"period {found.period:.1f} s\n"
     )
     print_table(PLAN_HEADINGS, plan_rows(found))

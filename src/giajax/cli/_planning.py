@@ -76,7 +76,7 @@ Examples:
 By default, the base joint moves to 30 deg within 1 s, and all links are filmed.
 The output files are sensitivity.png, sensitivity.csv (derivatives over time) and
 information.csv (share of each link in the information, and the standard error
-from that link alone).""",
+obtained from that link alone).""",
     group="plan",
     pictures=True,
     old_words="--data",
@@ -88,27 +88,29 @@ def sensitivity(
     arm: Annotated[Path | None, "FILE.toml", "TOML file with an [arm] section."] = None,
     links: Links = None,
     pairs: Settings = None,
-    step: Annotated[Texts, "JOINT=DEG[@T]", "Step of the command of a joint."] = None,
+    step: Annotated[
+        Texts, "JOINT=DEG[@T]", "Step change of the commanded angle of a joint."
+    ] = None,
     ramp: Annotated[
-        Texts, "JOINT=DEG[@START:DURATION]", "Linear change of the command of a joint."
+        Texts, "JOINT=DEG[@START:DURATION]", "Linear change of the commanded angle of a joint."
     ] = None,
     command: Replayed = None,
     wind: Wind = None,
     duration: Annotated[float | None, "S", "Duration of the run. [default: 25]"] = None,
     rate: Annotated[float | None, "HZ", "Samples per second. [default: 10]"] = None,
     channels: Annotated[
-        Texts, "CHANNEL", "Recorded channels: link06, tip, joints, all. [default: all]"
+        Texts, "CHANNEL", "Recorded channels, such as link06, tip or joints. [default: all]"
     ] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Noise standard deviation for a key of [noise]. [default: from the run, otherwise "
+        "Noise standard deviation for KEY, a key of [noise]. [default: from the run, otherwise "
         "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
-    """Show when and where a motion responds to parameters.
+    """Show when and where a motion is sensitive to parameters.
 
     Computes sensitivities and, before a recording exists, the standard errors to expect from a fit.
     """
@@ -120,7 +122,8 @@ def sensitivity(
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if data is not None and any(value is not None and value != [] for value in again):
         raise InputError(
-            "the run of --data determines the arm and the motion: omit the options for these"
+            "the run of --data determines the arm and the motion: omit the options that specify "
+            "them"
         )
     recorded = None if data is None else read_run(data)
     sections = definition_from_options(arm, links, wind, quiet=quiet)
@@ -186,7 +189,8 @@ def _noise_of(run: "Run", channels: tuple[str, ...], section: dict[str, float]) 
         known = (one for one in (options.get(name), stated, *usual) if one is not None)
         if (deviation := next(known, None)) is None:
             raise InputError(
-                f"the noise of {name} is unknown: give it in [noise] of the run, or with --noise"
+                f"the noise of {name} is unknown: give it in [noise] of the sidecar, or with "
+                "--noise"
             )
         noises.append(deviation)
     return noises
@@ -324,22 +328,24 @@ def design(
     criterion: Annotated[
         str | None,
         "c|A|D",
-        "Criterion: error of one parameter (c), trace (A) or determinant (D). [default: c for one "
-        "parameter, otherwise A]",
+        "Criterion: error of one parameter (c), or trace (A) or determinant (D) of the covariance. "
+        "[default: c for one parameter, otherwise A]",
     ] = None,
     joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
     max_angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
-    max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a joint."] = 30.0,
+    max_angle_rate: Annotated[float, "DEG/S", "Largest angular rate of a joint."] = 30.0,
     duration: Annotated[float, "S", "Duration of the run."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
-        Texts, "CHANNEL", "Channels that may be recorded: link06, tip, link20_z. [default: all]"
+        Texts,
+        "CHANNEL",
+        "Channels that may be recorded, such as link06 or link20_z. [default: all]",
     ] = None,
     markers: Annotated[int | None, "N", "Maximum number of filmed links. [default: all]"] = None,
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Noise standard deviation for a key of [noise]. [default: from the fit, otherwise "
+        "Noise standard deviation for KEY, a key of [noise]. [default: from the fit, otherwise "
         "position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     relative_uncertainty: Annotated[
@@ -357,7 +363,7 @@ def design(
         "Number of turning points of each joint command. [default: 15, or 30 for all joints]",
     ] = None,
     starts: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
-    follow: Annotated[int, "N", "Number of commands that are optimised.", 1] = 2,
+    follow: Annotated[int, "N", "Number of these commands that are optimised.", 1] = 2,
     max_iterations: Annotated[
         int, "N", "Maximum number of optimiser steps for each command.", 1
     ] = 25,
@@ -370,8 +376,8 @@ def design(
     """Design the next experiment: its command and its markers.
 
     Minimises the standard error of chosen parameters within limits on angle, rate and time. The
-    error is averaged over the current uncertainty of these parameters. Ctrl-C keeps the best result
-    so far.
+    error is averaged over the current uncertainty of these parameters. After Ctrl-C, the best
+    result so far is kept.
     """
     from ..recordings import check_output_folder, stored_result, write_run
 

@@ -48,8 +48,8 @@ Examples:
 MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
 section. The default is the arm of the sidecar. The output files are
 command_zv.csv, command_zvd.csv and command_ei.csv (commands for an operator),
-shape.json and shape.png. The residual is the largest distance of the tip from
-its final position after the end of the command, in still air.""",
+shape.json and shape.png. The residual is the largest distance between the tip
+and its final position at any time after the end of the command, in still air.""",
     group="plan",
     pictures=True,
 )
@@ -58,7 +58,7 @@ def shape(
     out: Annotated[Path, "DIR", "Folder for the files."],
     model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
     shaper: Annotated[Texts, "NAME", "Shaper: ZV, ZVD or EI. [default: all]"] = None,
-    tune: Annotated[bool, "Optimise period and damping by simulation."] = True,
+    tune: Annotated[bool, "Optimise the period and damping of the shapers by simulation."] = True,
     draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0] = 20,
     rename: Renamed = None,
     as_json: Json = False,
@@ -67,8 +67,9 @@ def shape(
 ) -> None:
     """Shape a command to reduce the residual swing.
 
-    The command is convolved with a few impulses. Their times and sizes follow from the
-    period and the damping of the arm's modes at the final pose, including the damping by air.
+    The command is convolved with a few impulses. The times and amplitudes of the impulses follow
+    from the period and the damping of the arm's modes at the final pose, including the damping by
+    air.
     """
     from ..recordings import check_output_folder, parse_rename, read_run, stored_result, write_run
 

@@ -77,7 +77,9 @@ def gusts_of(
     if mean is None:
         raise InputError("--gusts needs a constant wind, but none is given: add --wind X,Y,Z")
     if coherence is not None and not 0 <= coherence < math.inf:
-        raise InputError(f"--coherence is {coherence:g}: give a decay of at least 0, such as 12")
+        raise InputError(
+            f"--coherence is {coherence:g}: give a non-negative decay coefficient, such as 12"
+        )
     intensity = parts if len(parts) == 3 else parts[0]
     scales: dict[str, Any] = {"interval": 1 / rate if rate else 0.0, "length_scale": length_scale}
     if coherence is not None:
@@ -137,7 +139,7 @@ def channel_names(selections: Sequence[str], count: int) -> list[str]:
             part = "joint" if channel.kind.startswith("joint") else "link"
             raise InputError(
                 f"--channels {name!r} names {part} {channel.index}, but the arm has {count} links: "
-                "correct the number, or simulate a longer arm"
+                "correct the number, or simulate an arm with more links"
             )
     return list(dict.fromkeys(names))
 
@@ -230,7 +232,8 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
             length = 0.0 if at_once else float(match["duration"] or _RAMP_DURATION)
             if length == 0 and not at_once:
                 raise InputError(
-                    f"{option} {text!r} has the duration 0: give a positive duration, or use --step"
+                    f"{option} {text!r} has a duration of 0: give a positive duration, or use "
+                    "--step"
                 )
             start = _START if match["start"] is None else float(match["start"])
             angle = math.radians(float(match["angle"]))
@@ -306,8 +309,8 @@ Examples:
                             simulate gusts without commands
 
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
-'joints' (all angles) or 'all' (every link). A row is added at each corner of a
-command that lies between samples.""",
+'joints' (all angles) or 'all' (every link). A row is added for each corner of a
+command between two samples.""",
     group="data",
     old={"--out": "--to"},
 )
@@ -315,30 +318,33 @@ def simulate(
     context: typer.Context,
     to: ToRun,
     arm: Annotated[
-        Path | None, "FILE.toml", "File with [arm], [initial], [command] and [wind]."
+        Path | None, "FILE.toml", "File with [arm], [initial], [command] and [wind] sections."
     ] = None,
     links: Links = None,
     pairs: Annotated[
         Texts, "PATH=VALUE", "A parameter, as listed by 'giajax parameters'.", "--set"
     ] = None,
     step: Annotated[
-        Texts, "JOINT=DEG[@T]", "Step of the command of a joint, by default at 0.5 s."
+        Texts,
+        "JOINT=DEG[@T]",
+        "Step change of the commanded angle of a joint, by default at 0.5 s.",
     ] = None,
     ramp: Annotated[
         Texts,
         "JOINT=DEG[@START:DURATION]",
-        "Linear change of the command of a joint, by default starting at 0.5 s and lasting 1 s.",
+        "Linear change of the commanded angle of a joint, by default starting at 0.5 s and lasting "
+        "1 s.",
     ] = None,
     command: Replayed = None,
     wind: Wind = None,
     gusts: Annotated[
-        str | None, "I:L", "Intensity and length scale (m) of gusts about --wind."
+        str | None, "I:L", "Intensity and length scale (m) of gusts about the mean wind."
     ] = None,
     coherence: Annotated[
         float | None,
         "DECAY",
-        "Decay of the coherence of gusts along the arm (IEC 61400-1: 12). [default: the same "
-        "gusts along the whole arm]",
+        "Decay coefficient of the gust coherence along the arm (12 in IEC 61400-1). [default: the "
+        "same gusts along the whole arm]",
     ] = None,
     duration: Annotated[
         float | None, "S", "Duration of the run. [default: that of --command, otherwise 25]"
@@ -347,7 +353,9 @@ def simulate(
     channels: Annotated[
         Texts, "CHANNEL", "Channels to record; see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Noise standard deviation for a key of [noise]."] = None,
+    noise: Annotated[
+        Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
+    ] = None,
     missing: Annotated[float, "PERCENT", "Percentage of missing samples in each channel."] = 0.0,
     seed: Annotated[int, "N", "Seed of noise, gaps and gusts.", 0] = 0,
     solver: Solver = "springs5",
@@ -358,12 +366,14 @@ def simulate(
 ) -> None:
     """Simulate an arm and write a run that `giajax fit` reads.
 
-    Its sidecar contains the arm, the noise, the true values and the command line.
+    The sidecar of the run contains the arm, the noise, the true values and the command line.
     """
     from ..recordings import Definition, check_output_run
 
     if not 0 <= missing < 100:
-        raise InputError(f"--missing is {missing:g} %: give at least 0 and less than 100")
+        raise InputError(
+            f"--missing is {missing:g} %: give a percentage of at least 0 and less than 100"
+        )
     check_tolerance(tolerance)
     section = noise_section(noise, "--noise")
     check_output_run(to, force=force)
@@ -485,10 +495,10 @@ def synth(
     noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of white noise."] = None,
     correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of correlated noise."] = None,
     correlation_time: Annotated[float, "S", "Correlation time of the correlated noise."] = 0.5,
-    missing: Annotated[float, "PERCENT", "Percentage of single missing cells."] = 0.0,
+    missing: Annotated[float, "PERCENT", "Percentage of single cells that are missing."] = 0.0,
     bursts: Annotated[float, "PERCENT", "Percentage of samples missing in bursts."] = 0.0,
     burst_duration: Annotated[float, "S", "Duration of a burst."] = 1.0,
-    outliers: Annotated[float, "PERCENT", "Percentage of outliers."] = 0.0,
+    outliers: Annotated[float, "PERCENT", "Percentage of cells that are outliers."] = 0.0,
     outlier_size: Annotated[Texts, "KEY=VALUE", "Size of the outliers."] = None,
     seed: Annotated[int, "N", "Seed of all random errors.", 0] = 0,
     digits: Digits = 9,
@@ -497,8 +507,8 @@ def synth(
 ) -> None:
     """Simulate a run again, with measurement errors of your choice.
 
-    Uses the run's model or a fit, for a run of any model. Use it to test, before the experiment,
-    how noise, gaps, outliers and a misaligned frame affect a fit.
+    The true model is that of the run or of a fit, and may be any model. Before the experiment, you
+    can thus test how noise, gaps, outliers and a misaligned frame affect a fit.
     """
     from ..recordings import check_output_run, read_run
 

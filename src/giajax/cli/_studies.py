@@ -45,11 +45,11 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. Each PATH, a free parameter or a derived quantity, is fixed at
-increasing distances from its estimate while all others are fitted. Without a
-PATH, all free parameters are profiled.
+increasing distances from its estimate while all other parameters are fitted.
+Without a PATH, all free parameters are profiled.
 The command writes profiles.json and profiles.png beside the result, where
-giajax report finds them. Existing profiles of the same fit are kept, and further
-paths are added. After Ctrl-C, repeat the command to continue. With --force, all
+giajax report finds them. Existing profiles of the same fit are kept, and profiles
+of further paths are added. After Ctrl-C, repeat the command to continue. With --force, all
 profiles are computed again.""",
     group="trust",
     workers=True,
@@ -63,12 +63,12 @@ def profile(
     parameter: Annotated[
         Texts, "PATH", "Parameter to profile. [default: all free parameters]"
     ] = None,
-    level: Annotated[float, "P", "Level of the intervals, between 0 and 1."] = 0.95,
+    level: Annotated[float, "P", "Confidence level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
     """Compute profile-likelihood intervals of parameters.
 
     All other parameters are fitted again at each value. Use these intervals where intervals from
-    the standard error are doubtful: at bounds and for curved correlations.
+    the standard error are doubtful: at bounds and for nonlinear correlations.
     """
     from ..recordings import check_output_files, check_output_folder
 
@@ -116,7 +116,7 @@ def _before(path: Path, result: "FitResult", level: float, *, force: bool) -> "P
         return before
     if not force:
         what = "another fit" if before.level == level else f"the level {before.level:g}"
-        raise InputError(f"{path} belongs to {what}: use --force to overwrite it")
+        raise InputError(f"{path} was computed for {what}: use --force to overwrite it")
     return None
 
 
@@ -135,8 +135,8 @@ Examples:
 RESULT is the folder of a fit, or its result.json. The output files are
 posterior.json, the draws for ArviZ (posterior.nc), figures, and uncertainty bands
 of every channel as CSV. Each chain is stored in posterior_chains. The same command
-continues after Ctrl-C. With a larger number of --chains, the existing chains
-are kept. This command needs pip install 'giajax[posterior]'.""",
+continues after Ctrl-C. If --chains is increased, the existing chains are kept.
+This command needs pip install 'giajax[posterior]'.""",
     group="trust",
     pictures=True,
     workers=True,
@@ -145,15 +145,15 @@ are kept. This command needs pip install 'giajax[posterior]'.""",
 )
 def posterior(
     given: OnResult,
-    chains: Annotated[int, "N", "Chains.", 1] = 4,
+    chains: Annotated[int, "N", "Number of chains.", 1] = 4,
     draws: Annotated[int, "N", "Number of draws in each chain.", 8] = 500,
     warmup: Annotated[int, "N", "Number of warm-up transitions.", 0] = 200,
     seed: Annotated[int, "N", "Seed of the random numbers.", 0] = 0,
 ) -> None:
     """Sample the posterior of the parameters of a fit.
 
-    Its intervals do not assume a linear model: use them near bounds, for curved correlations and
-    with priors.
+    The intervals of the posterior do not assume a linear model: use them near bounds, for nonlinear
+    correlations and with priors.
     """
     from ..recordings import check_output_folder, make_folder
 
@@ -220,7 +220,7 @@ RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The command writes bootstrap.json and bootstrap.png beside
 the result, where giajax report finds them. After Ctrl-C, a result is written from
 the finished repetitions. With --folder DIR, the same command with --force
-continues from there.""",
+then computes the remaining repetitions.""",
     group="trust",
     workers=True,
     folder=_KEPT,
@@ -231,14 +231,14 @@ continues from there.""",
 )
 def bootstrap(
     given: OnResult,
-    size: Annotated[int, "N", "Repetitions.", 2] = 200,
-    block: Annotated[bool, "Resample blocks of residuals instead of model noise."] = False,
+    size: Annotated[int, "N", "Number of repetitions.", 2] = 200,
+    block: Annotated[bool, "Resample blocks of residuals instead of drawing noise."] = False,
     whole: Annotated[bool, "Repeat the whole fit, including noise estimation."] = False,
     seed: Annotated[int, "N", "Seed of the random numbers.", 0] = 0,
 ) -> None:
-    """Check the errors of a fit by refits with new noise.
+    """Check the standard errors of a fit by refits with new noise.
 
-    Computes bias, spread and intervals of the repetitions, and the coverage of the 95 %
+    Computes bias, spread and intervals of the repeated estimates, and the coverage of the 95 %
     intervals.
     """
     method = "block" if block else "parametric"
@@ -294,7 +294,9 @@ the result, where giajax report finds them.""",
 )
 def influence(
     given: OnResult,
-    exact: Annotated[bool, "Repeat the fit without each marker, channel and span."] = False,
+    exact: Annotated[
+        bool, "Repeat the fit also without each marker, channel and time span."
+    ] = False,
     spans: Annotated[
         int, "N", "Number of time spans of each run. Use 1 to omit the time spans.", 1
     ] = 10,
@@ -302,7 +304,7 @@ def influence(
 ) -> None:
     """Show the influence of each part of the data on the estimates.
 
-    Computes the change of each parameter and of its standard error if a run, a marker, a channel or
+    Computes the change in each parameter and in its standard error if a run, a marker, a channel or
     a time span is left out.
     """
     given.record("influence", most=rows, exact=exact, spans=spans)
@@ -325,10 +327,10 @@ Examples:
                             print JSON
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
-their original paths. The suspect with the largest decrease of chi-square comes first.
+their original paths. The suspect with the largest decrease in chi-square comes first.
 --ladder fits the first few suspects, keeps the one with the lowest BIC, and
-repeats this as long as BIC decreases. A step takes minutes for a long arm. It takes less
-time with --tries 1, which fits only the first suspect.""",
+repeats this as long as BIC decreases. For a long arm, a ladder step can take several
+minutes, but less with --tries 1, which fits only the first suspect.""",
     group="trust",
     out="Output folder for suspects.json, the result with its suspects.",
     as_json=True,
@@ -341,7 +343,7 @@ time with --tries 1, which fits only the first suspect.""",
 def suspects(
     given: OnResult,
     each: Annotated[Texts, "PATH", "Also test each element of this array separately."] = None,
-    systematic: Annotated[bool, "Show the effect of fixed parameters on the fitted ones."] = False,
+    systematic: Annotated[bool, "Show the effect of the uncertainty of fixed parameters."] = False,
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
     validation: Annotated[Paths, "RUN.csv", "A run for validation of the ladder."] = None,
@@ -353,9 +355,9 @@ def suspects(
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.
 
-    For each of these parameters, estimates the decrease of chi-square and the value after one step.
-    They include added mass, camera delay, wind, friction, swapped axes and every other effect of
-    the model.
+    For each of these parameters, estimates the decrease in chi-square and the value of the
+    parameter after one step. The parameters describe added mass, camera delay, wind, friction,
+    swapped axes and every other effect that the model supports.
     """
     from ..recordings import Definition, make_folder, read_runs, write_files
     from ..tasks import held_out_runs

@@ -135,7 +135,7 @@ def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     ]
     print_table(headings, rows, left=0)
     if len(table) > _ROWS:
-        print(f"... and {len(table) - _ROWS} more")
+        print(f"... and {len(table) - _ROWS} more fits")
     failed = table.filter(table["status"] == "failed")["message"].unique(maintain_order=True)
     for message in failed.head(3):
         print(f"failed: {message}")

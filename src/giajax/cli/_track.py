@@ -62,7 +62,7 @@ MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
 section. The default is the arm of the sidecar. The standard errors of a fit
 are used as the uncertainty of its parameters. The output files are
 estimate.csv (a run of the smoothed states), bands.csv (their standard
-deviations), track.json, track.png and track.html (needs the extra report).
+deviations), track.json, track.png and track.html (needs 'giajax[report]').
 
 \b
 With --live, or with - for standard input, a line is printed for each second
@@ -85,10 +85,16 @@ def track(
         str | None, "I:L", "Intensity and length scale (m) of the gusts. [default: 0.3:5]"
     ] = None,
     coherence: Annotated[
-        float | None, "DECAY", "Decay of the coherence of gusts with distance. [default: 12]"
+        float | None,
+        "DECAY",
+        "Decay coefficient of the gust coherence with distance. [default: 12]",
     ] = None,
     places: Annotated[
-        int | None, "N", "Number of gust positions along the arm. [default: one for each 2.5 m]", 1
+        int | None,
+        "N",
+        "Number of positions along the arm at which gusts are estimated. [default: one for "
+        "each 2.5 m]",
+        1,
     ] = None,
     bias: Annotated[
         Texts,
@@ -108,7 +114,7 @@ def track(
     live: Annotated[
         float | None,
         "S",
-        "Follow a file that is being written until it has not grown for this time.",
+        "Track while the file is being written, and stop when it has not grown for this time.",
     ] = None,
     torque: Annotated[
         float | None,
@@ -130,10 +136,10 @@ def track(
     quiet: Quiet = False,
     force: Force = False,
 ) -> None:
-    """Estimate motion and wind of a recorded arm, with bands.
+    """Estimate motion and wind of a recorded arm and their errors.
 
     A square-root extended Kalman filter and smoother estimate angles, rates, hysteresis states,
-    actuator lag, biases, mean wind and gusts with the arm's equation of motion.
+    actuator lag, biases, mean wind and gusts, based on the arm's equation of motion.
     """
     from ..recordings import (
         check_output_folder,
@@ -254,7 +260,7 @@ def track(
             typer.echo(said)
         say_written(out, [*contents, TRACK_FILES.estimate])
         if page is None:
-            typer.echo(f"note: {TRACK_FILES.page} needs the extra report")
+            typer.echo(f"note: {TRACK_FILES.page} needs pip install 'giajax[report]'")
 
 
 def _true(path: Path) -> "Run":
@@ -264,7 +270,8 @@ def _true(path: Path) -> "Run":
     true = read_run(path)
     if not any(channel.kind in ("joint_angle", "joint_rate") for channel in true.channels.values()):
         raise InputError(
-            f"{path} has no true angle or rate of a joint: give columns such as joint01_angle_deg"
+            f"{path} contains no true angle or rate of a joint: give columns such as "
+            "joint01_angle_deg"
         )
     return true
 
@@ -436,8 +443,8 @@ def _show(found: "Track", verdict: "TrackVerdict", hidden: Any) -> None:
     typer.echo(f"{verdict.sentence}\n")
     print_table(TRACK_HEADINGS, track_rows(found))
     typer.echo(
-        f"\n{len(found.times)} times, {found.arm.size} states, "
-        f"{1e3 * found.seconds:.2g} ms per time; NIS {verdict.nis:.3f} "
+        f"\n{len(found.times)} time steps, {found.arm.size} states, "
+        f"{1e3 * found.seconds:.2g} ms per time step; NIS {verdict.nis:.3f} "
         f"(expected: 1 +- {4 * verdict.nis_error:.3f})"
     )
     for note in track_notes(found, verdict, hidden):

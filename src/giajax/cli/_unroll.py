@@ -37,14 +37,14 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  unrolling.json          times when the arm is unrolled, full and aloft
+  unrolling.json          times at which the arm is unrolled, full and aloft
   unrolling.csv           length, speed, forces and energies over time
-  unrolling.png           the same as a figure
+  unrolling.png           the same data as a figure
   filling.*, inflation.toml
                           the files of giajax fill, from the start of filling
 
-A definition is a TOML file with an [arm], a [filling] and an
-[unrolling], such as
+A definition is a TOML file with [arm], [filling] and [unrolling]
+sections, such as
 
 \b
   [unrolling]
@@ -69,7 +69,7 @@ def unroll(
     """Unroll an arm of balloons by hand or by gas, and fill it.
 
     Computes the speed of the roll and the forces on it over time (the paper's fig. 14), and the
-    times when the arm is full and lifts itself.
+    times at which the arm is full and lifts itself.
     """
     from ..recordings import Definition, check_output_folder
 

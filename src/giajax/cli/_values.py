@@ -111,9 +111,7 @@ def noise_section(
         if value < 0:
             raise InputError(f"{option} '{key}={value:g}' is negative: give 0 or a positive number")
         if positive and value == 0:
-            raise InputError(
-                f"{option} is 0, but every recording has noise: give a positive number"
-            )
+            raise InputError(f"{option} {key} is 0, but must be positive: give a positive number")
     return section
 
 

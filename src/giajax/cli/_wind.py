@@ -36,15 +36,15 @@ _FILES = ("wind.json", "wind.png")
     """\b
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
-                            start from a mean flow along y
+                            use an initial mean flow along y
   giajax wind --data resting.csv --model giajax-out/run --out wind
                             use the fitted arm, and write files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
                             also fit the decay, and omit the first minute
 
 MODEL is the folder of a fit, its result.json, or a TOML file with an [arm] section.
-The default is the arm of the sidecar. NAME is speed, deviation,
-length_scale (free by default), decay, heading or climb (fixed by default).""",
+The default is the arm of the sidecar. NAME is speed, deviation or length_scale
+(which are free by default), or decay, heading or climb (which are fixed by default).""",
     group="plan",
     pictures=True,
 )
@@ -54,11 +54,14 @@ def wind(
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Initial mean flow (m/s). Its direction stays fixed. [default: from the run or the arm]",
+        "Initial mean flow (m/s); its direction is fixed by default. [default: from the run or the "
+        "arm]",
         "--wind",
     ] = None,
     gusts: Annotated[str, "I:L", "Initial intensity and length scale (m) of the gusts."] = "0.2:5",
-    coherence: Annotated[float, "DECAY", "Decay of the coherence of gusts with distance."] = 12.0,
+    coherence: Annotated[
+        float, "DECAY", "Decay coefficient of the gust coherence with distance."
+    ] = 12.0,
     free: Annotated[Texts, "NAME", "Also fit this parameter of the wind."] = None,
     hold: Annotated[Texts, "NAME", "Fix this parameter of the wind."] = None,
     no_mean: Annotated[
@@ -68,7 +71,9 @@ def wind(
         float | None, "S", "Omit the first S seconds. [default: until the arm is at rest]"
     ] = None,
     highest: Annotated[
-        float | None, "HZ", "Highest frequency used. [default: half the Nyquist frequency]"
+        float | None,
+        "HZ",
+        "Highest frequency that is fitted. [default: half the Nyquist frequency]",
     ] = None,
     channels: OnlyChannels = None,
     rename: Renamed = None,
@@ -143,7 +148,7 @@ def _show(found: "WindFit") -> None:
         error = one.standard_error
         word = "not determined" if one.free else "fixed"
         rows.append([name, one.value, word if error is None else error, one.unit or None])
-    print_table(["number", "value", "standard error", "unit"], rows)
+    print_table(["parameter", "value", "standard error", "unit"], rows)
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")
     typer.echo(

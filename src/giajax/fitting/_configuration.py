@@ -429,13 +429,14 @@ def _element_priors(
             declaration = element.declaration
             if prior.logarithmic and declaration.lower < 0:
                 raise InputError(
-                    f"'{path}' may be negative, but its prior is given by a factor: give a "
-                    "deviation instead"
+                    f"'{path}' may be negative, but the width of its prior is given as a factor: "
+                    "give a deviation instead"
                 )
             if not declaration.lower < prior.value < declaration.upper:
                 raise InputError(
-                    f"the prior of '{path}' has the value {prior.value:g}, which is outside its "
-                    f"bounds: choose one between {declaration.lower:g} and {declaration.upper:g}"
+                    f"the prior of '{path}' has the value {prior.value:g}, which is outside the "
+                    "bounds of this parameter: choose a value between "
+                    f"{declaration.lower:g} and {declaration.upper:g}"
                 )
             known[element.path] = prior
     return known
@@ -634,6 +635,6 @@ def _check_doubles(runs: Sequence[Run]) -> None:
         part = (run.sha256, 0.0 if run.times is None else float(run.times[0]))
         if part in seen:
             raise InputError(
-                f"'{seen[part]}' and '{run.path}' are the same recording: give it once"
+                f"'{seen[part]}' and '{run.path}' are the same recording: give it only once"
             )
         seen[part] = str(run.path)

@@ -132,8 +132,8 @@ def _outliers(state: FitState) -> Iterator[Finding]:
                 (),
                 f"some residuals of {run.name} exceed {_OUT:g} times the typical residual: "
                 f"{'; '.join(said[:5])}{'; ...' * (len(said) > 5)}",
-                "empty these cells if the recording is wrong, or fit with --loss student_t, which "
-                "is robust to outliers",
+                "empty these cells if the recorded values are wrong, or fit with --loss student_t, "
+                "which is robust to outliers",
             )
 
 
@@ -175,7 +175,7 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
     usual = [held.get(index, False) for index in range(len(lower))]
     for members, known in combinations(statistics, (lower >= 0).tolist(), usual):
         names = tuple(statistics.labels[i] for i in members)
-        said = f", only {' and '.join(map(str, known))}" if known else ""
+        said = f", but only {' and '.join(map(str, known))}" if known else ""
         yield Finding(
             "only_combinations",
             names,
@@ -198,7 +198,7 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         return
     advice = _unless_far_off(
         state,
-        "do not interpret one without the other, or separate them with a prior on one of them or "
+        "do not interpret one without the other, or separate them by a prior on one of them, or by "
         "a run in which they act at different times",
     )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
@@ -259,7 +259,7 @@ def _priors(state: FitState, statistics: Statistics) -> Iterator[Finding]:
                 "mostly_its_prior",
                 (name,),
                 f"{share:.0%} of the information on {name} comes from its prior",
-                "its value is mainly prior knowledge, not a result",
+                "its value mainly reflects the prior, not the data",
             )
 
 
@@ -295,9 +295,9 @@ def beyond_usual(state: FitState, statistics: Statistics) -> Reason | None:
             how = "" if "[" in name else f", or fit it without a prior with {command}"
             sentence = (
                 f"{name} is {value} +- {deviation}, which is {abs(row):.2g} standard deviations "
-                f"from its usual value, and changes {path} by {moved[most]:.2g} times its standard "
-                "error: check for other causes with the same effect on the data, or give its known "
-                f"value in [uncertainty]{how}"
+                f"from its usual value, and this deviation changes {path} by {moved[most]:.2g} "
+                "times its standard error: check for other causes with the same effect on the "
+                f"data, or give the known value of {name} in [uncertainty]{how}"
             )
             found.append(Reason("prior", sentence, min(chance, 1.0), float(moved[most])))
     return min(found, key=lambda reason: reason.p_value, default=None)
@@ -323,9 +323,9 @@ def vanished(state: FitState, statistics: Statistics) -> Reason | None:
             error = 3 * statistics.standard_errors.get(index, 0.0)
             if value <= error and value + error < _GONE * declaration.default:
                 sentence = (
-                    f"{statistics.labels[index]} is {value:.1g} {declaration.unit}, which is 0 "
-                    "within its error: according to the data, these joints do not follow their "
-                    "commands. Check their drives, and fix the parameter at its known value"
+                    f"{statistics.labels[index]} is {value:.1g} {declaration.unit}, which is 0 to "
+                    "within its standard error: according to the data, these joints do not follow "
+                    "their commands. Check their drives, and fix the parameter at its known value"
                 )
                 return Reason("vanished", sentence, 1.0, 1.0)
     return None
@@ -351,10 +351,10 @@ def _short(correlation_times: Sequence[tuple[str, float]]) -> Iterator[Finding]:
             yield Finding(
                 "short_record",
                 (),
-                f"the record '{name}' lasts only {count:.2g} correlation times of its noise",
+                f"the recording '{name}' lasts only {count:.2g} correlation times of its noise",
                 f"record at least {_LONG_ENOUGH:g} correlation times, or give the correlated "
                 "noise in [noise] (such as position_correlated_m and position_correlation_s), "
-                "which cannot be estimated from a shorter record",
+                "which cannot be estimated from a shorter recording",
             )
 
 
@@ -457,7 +457,7 @@ def _remark(state: FitState, statistics: Statistics, index: int, error: float | 
     if index in statistics.bounds:
         return (
             f"at its {statistics.bounds[index]} bound: the best value is the bound itself, and the "
-            "standard error gives the distance from the bound that the data allow"
+            "standard error is the distance from the bound that is compatible with the data"
         )
     share = statistics.prior_shares.get(index, 0.0)
     if share > _MOSTLY:

@@ -92,8 +92,8 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if (still and state.cost > constant) or (slow and state.cost > _UNEXPLAINED * constant):
             return "cannot_fit", (
                 f"after {state.trials} iterations the model describes the data hardly better than "
-                "a constant: check units, signs, axes and names of the channels, or start from "
-                "other values"
+                "a constant does: check units, signs, axes and names of the channels, or start "
+                "from other values"
             )
     if len(costs) > _STEPS:
         gain = costs[-1 - _STEPS] - costs[-1]
@@ -150,12 +150,12 @@ def _stuck(state: FitState) -> tuple[Reason, str]:
     """Return why no step is accepted: the model fails beyond, or its cost is not smooth."""
     if not bool(state.inner.finite):
         return "wall", (
-            "the model cannot be evaluated beyond the current point, but the optimum is not "
+            "the model cannot be evaluated beyond the current point, but the optimum has not been "
             "reached: start from other values, or set bounds on the diverging parameters"
         )
     return "rough", (
-        "no step lowers the cost further, but the optimum is not reached: use a tighter solver "
-        "tolerance if the model has one, start from other values, or free fewer parameters"
+        "no step lowers the cost further, but the optimum has not been reached: use a tighter "
+        "solver tolerance if the model has one, start from other values, or free fewer parameters"
     )
 
 

@@ -397,7 +397,7 @@ class Plane(AbstractObstacle):
     def __check_init__(self) -> None:
         if is_concrete(self.normal) and not np.any(np.asarray(self.normal)):
             raise InputError(
-                f"the plane '{self.name}' has a normal of zero: give a vector that is not zero"
+                f"the plane '{self.name}' has a normal of zero: give a vector other than zero"
             )
 
     def turn(self) -> Float[Array, "4"]:

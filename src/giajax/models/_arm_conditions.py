@@ -286,9 +286,9 @@ def clock_conditions(
     ]
     return [
         f"{', '.join(counted)}: expressed in the seconds of the time stamps, because no other "
-        "quantity fixes the unit of time: a clock that runs r times as fast scales "
+        "quantity fixes the unit of time; a clock that runs r times as fast scales "
         f"{' and '.join(changes)} and leaves the residuals unchanged (if the commands are short "
-        "steps, a faster clock of the film alone has the same effect)"
+        "steps, a faster clock of the camera or sensor alone has the same effect)"
     ]
 
 
@@ -314,8 +314,9 @@ def sensor_conditions(model: AbstractModel, free: Sequence[str], runs: Sequence[
     read = [run for run in runs if run.definition.section(InitialSection).first_row]
     if encoder and any(not run.definition.section(InitialSection).free for run in read):
         sentences.append(
-            f"{', '.join(encoder)}: the state in the first row was computed with the start value, "
-            "so set free = true in [initial] to fit this state too"
+            f"{', '.join(encoder)}: the initial state was computed from the first row with the "
+            "start value of the parameter, so set free = true in [initial] to fit the initial "
+            "state too"
         )
     if "camera.scale" in fitted and "links.length" not in fitted:
         sentences.append(

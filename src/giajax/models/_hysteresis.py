@@ -76,7 +76,7 @@ class Columns:
             if mine is not None and other is not None and not comparable(mine, other):
                 raise InputError(
                     f"'{run.name}' has the column {other.column}, but the model uses "
-                    f"{mine.column}: give a run of the same quantity"
+                    f"{mine.column}: give a run with the same quantity"
                 )
 
 

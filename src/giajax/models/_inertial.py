@@ -47,7 +47,7 @@ class Gyroscope(AbstractSensor):
         unit="rad/s", doc="bias of the gyroscope about the axis along its link"
     )
     offset_y: PerLink = _each(
-        unit="rad/s", doc="bias of the gyroscope about the axis to the left of its link"
+        unit="rad/s", doc="bias of the gyroscope about the leftward axis of its link"
     )
     offset_z: PerLink = _each(
         unit="rad/s", doc="bias of the gyroscope about the upward axis of its link"
@@ -76,15 +76,15 @@ class Accelerometer(AbstractSensor):
     channel = IMU_FORCE
 
     along: PerLink = _each(
-        unit="m", doc="distance of an IMU from the centre of its link, along the link"
+        unit="m", doc="offset of an IMU from the centre of its link, along the link"
     )
-    left: PerLink = _each(unit="m", doc="distance of an IMU to the left of the centre of its link")
-    up: PerLink = _each(unit="m", doc="distance of an IMU above the centre of its link")
+    left: PerLink = _each(unit="m", doc="leftward offset of an IMU from the centre of its link")
+    up: PerLink = _each(unit="m", doc="upward offset of an IMU from the centre of its link")
     offset_x: PerLink = _each(
         unit="m/s^2", doc="bias of the accelerometer in the direction along its link"
     )
     offset_y: PerLink = _each(
-        unit="m/s^2", doc="bias of the accelerometer in the direction to the left of its link"
+        unit="m/s^2", doc="bias of the accelerometer in the leftward direction of its link"
     )
     offset_z: PerLink = _each(
         unit="m/s^2", doc="bias of the accelerometer in the upward direction of its link"
@@ -114,7 +114,7 @@ class Inclinometer(AbstractSensor):
     kind: ClassVar[str] = "inclinometer"
     channel = INCLINATION
 
-    offset: PerLink = _each(unit="rad", doc="reading of the inclinometer on a horizontal link")
+    offset: PerLink = _each(unit="rad", doc="reading of the inclinometer of a horizontal link")
 
     def values(self, motion: Trajectory) -> Float[Array, "sample link"]:
         """Return the elevation of the direction of each link, with offsets."""
@@ -160,7 +160,7 @@ class CurvatureSensor(AbstractSensor):
     channel = CURVATURE
 
     offset: PerLink = _each(
-        unit="1/m", doc="reading of the curvature sensor at a straight joint", per="joint"
+        unit="1/m", doc="reading of the curvature sensor of a straight joint", per="joint"
     )
 
     def values(self, motion: Trajectory) -> Float[Array, "sample joint"]:

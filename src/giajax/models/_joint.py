@@ -97,7 +97,7 @@ class JointModel(AbstractModel):
         for name in channels:
             if Channel.named(name).kind not in known:
                 raise InputError(
-                    f"'{name}' is not predicted by the joint model: use one of: {', '.join(known)}"
+                    f"'{name}' is not predicted by the joint model: use one of {', '.join(known)}"
                 )
             # NaN makes a fit reject a step to an impossible joint.
             predicted[name] = jnp.where(possible, known[name], jnp.nan)

@@ -237,8 +237,8 @@ def by_a_few_cells(series: Sequence[Series]) -> Reason | None:
                 size = each.from_differences / both[0]
                 sentence = (
                     f"the noise estimate of {each.channel} is dominated by a few cells, which "
-                    f"make it {size:.3g} times the difference between neighbouring samples: empty "
-                    "these cells, or fit with --loss student_t"
+                    f"increase it by a factor of {size:.3g}: empty these cells, or "
+                    "fit with --loss student_t"
                 )
                 p = tail(each.white_degrees_of_freedom, DIFFERENCES * len(each), size**2)
                 yield Reason("outliers", sentence, p, size, (each.channel,))
@@ -318,8 +318,8 @@ def correlated(series: Sequence[Series]) -> Reason | None:
             where = "" if names == groups[0] else f" of {', '.join(names)}"
             sentence = (
                 f"the residuals{where} are correlated, because the noise is correlated or the "
-                "model omits an effect: the correlated part increases their standard deviation by "
-                f"a factor of {size:.3g}"
+                "model omits an effect: the correlated part increases the standard deviation of "
+                f"the residuals by a factor of {size:.3g}"
             )
             yield Reason("correlation", sentence, p, size, names)
 
@@ -343,8 +343,8 @@ def beyond_differences(series: Sequence[Series]) -> Reason | None:
             degrees_of_freedom = sum(each.degrees_of_freedom for each in chosen)
             size = float(np.sqrt(total / degrees_of_freedom))
             sentence = (
-                f"the noise estimate of {name} is {size:.3g} times the difference between "
-                "neighbouring residuals"
+                f"the noise estimate of {name} is {size:.3g} times the noise estimated from "
+                "differences between neighbouring residuals"
             )
             p = tail(degrees_of_freedom, _together(chosen), size**2)
             yield Reason("differences", sentence, p, size, (name,))

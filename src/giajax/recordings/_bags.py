@@ -141,7 +141,7 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
     if len(kept) * len(moments) > BAG_NUMBERS:
         raise InputError(
             f"{path} gives a table of {len(kept):,} columns and {len(moments):,} rows, but the "
-            f"table may have {BAG_NUMBERS:,} numbers at most: exclude topics with --ignore, or "
+            f"table may have at most {BAG_NUMBERS:,} numbers: exclude topics with --ignore, or "
             "split the bag"
         )
     nothing: Numbers = np.broadcast_to(np.nan, len(moments))
@@ -153,7 +153,7 @@ def read_bag(path: Path, how: ImportSettings) -> ForeignTable:
             if again := len(at) - len(np.unique(at)):
                 raise InputError(
                     f"{path}: {again} of {len(at)} messages of {topic} have the same time stamp as "
-                    f"another one: correct the time stamps, or exclude the topic with --ignore "
+                    f"another message: correct the time stamps, or exclude the topic with --ignore "
                     f"'{topic}*'"
                 )
             values = np.full(len(moments), np.nan)
@@ -287,8 +287,9 @@ class _Found:
                 raise InputError(f"{what} contains {thing} twice: rename one")
             if abs(value) > VALUE:
                 raise InputError(
-                    f"{self.path}: {thing} is {value:g} in a message, but may be {VALUE:g} at "
-                    f"most: correct it, or exclude the topic with --ignore '{topic.name}*'"
+                    f"{self.path}: {thing} is {value:g} in a message, but must be at most "
+                    f"{VALUE:g} in magnitude: correct it, or exclude the topic with --ignore "
+                    f"'{topic.name}*'"
                 )
             numbers.append(number)
             values.append(value)
@@ -586,7 +587,7 @@ def _text(file: BinaryIO) -> str:
     size = _number(file, 4)
     data = file.read(min(size, TEXT_BYTES))
     if len(data) != size:
-        raise EOFError(f"a string of {size:,} bytes exceeds the record")
+        raise EOFError(f"a string of {size:,} bytes extends beyond the end of its record")
     return data.decode()
 
 

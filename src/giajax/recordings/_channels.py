@@ -150,8 +150,7 @@ def unknown_name(name: str, what: str) -> str:
     if numbered is not None and (len(numbered[2]) > len(str(LINKS)) or int(numbered[2]) > LINKS):
         return (
             f"{what} {shown(name)} refers to a {numbered[1]} with a number above {LINKS:,}, the "
-            f"highest number that an arm may have"
-            ": correct the number"
+            "highest number allowed: correct the number"
         )
     near = nearest(name, suffixes=what == "column")
     old = "OLD" if not 0 < len(name) <= 40 or not name.isprintable() else name

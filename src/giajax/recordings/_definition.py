@@ -305,7 +305,9 @@ class Definition(_Sections):
     noise: Noise = Field(default_factory=Noise)
     uncertainty: Uncertainty = Field(default_factory=Uncertainty)
     truth: dict[str, Any] = key(
-        "a table", "true values known to the author of the data; never read by a fit", default={}
+        "a table",
+        "true parameter values, known to the author of the data; a fit never reads them",
+        default={},
     )
     fit: FitSettings = Field(default_factory=FitSettings)
     filling: FillingSection = Field(default_factory=FillingSection)
@@ -472,7 +474,7 @@ def sidecar_template(path: str | Path, rename: Mapping[str, str] | None = None) 
     if kind is not None:
         lines += _offered(kind, table)
         lines += _noise(kind, table)
-    lines += ["", "# [truth]  true values that a fit should recover; no fit reads them"]
+    lines += ["", "# [truth]  true parameter values that a fit should recover; no fit reads them"]
     return "\n".join(lines) + "\n"
 
 
@@ -500,9 +502,12 @@ def _noise(kind: Kind, table: Table) -> list[str]:
     # A column may have the name of the key of a quantity. The name then means the column.
     known = {column_table()[channel.kind].noise for channel in measured} - {column}
     lines = [_line(Noise, name) for name in Noise.model_fields if name in known]
-    meaning = "noise of the column with this name, in its unit; replaces the noise of its quantity"
+    meaning = (
+        "noise of the column with this name, in the unit of the column; replaces the noise of its "
+        "quantity"
+    )
     lines.append(f"# {column} = 0.01  # {meaning}")
-    return ["", "[noise]  # where it is not given, a fit estimates it", *lines]
+    return ["", "[noise]  # a fit estimates the noise that is not given", *lines]
 
 
 def _line(section: type[BaseModel], name: str, value: Any = None) -> str:

@@ -78,20 +78,28 @@ class Noise(Section):
     acceleration_m_per_s2: Positive | None = key(
         _NOISE, "standard deviation of the noise of every acceleration", example=0.05
     )
-    position_correlated_m: Positive | None = key(_NOISE, "correlated part of position_m")
+    position_correlated_m: Positive | None = key(
+        _NOISE, "standard deviation of the correlated part of position_m"
+    )
     position_correlation_s: Positive | None = key(
         _TIME, "correlation time of position_correlated_m"
     )
-    angle_correlated_deg: Positive | None = key(_NOISE, "correlated part of angle_deg")
+    angle_correlated_deg: Positive | None = key(
+        _NOISE, "standard deviation of the correlated part of angle_deg"
+    )
     angle_correlation_s: Positive | None = key(_TIME, "correlation time of angle_correlated_deg")
-    rate_correlated_deg_per_s: Positive | None = key(_NOISE, "correlated part of rate_deg_per_s")
+    rate_correlated_deg_per_s: Positive | None = key(
+        _NOISE, "standard deviation of the correlated part of rate_deg_per_s"
+    )
     rate_correlation_s: Positive | None = key(
         _TIME, "correlation time of rate_correlated_deg_per_s"
     )
-    pixel_correlated_px: Positive | None = key(_NOISE, "correlated part of pixel_px")
+    pixel_correlated_px: Positive | None = key(
+        _NOISE, "standard deviation of the correlated part of pixel_px"
+    )
     pixel_correlation_s: Positive | None = key(_TIME, "correlation time of pixel_correlated_px")
     acceleration_correlated_m_per_s2: Positive | None = key(
-        _NOISE, "correlated part of acceleration_m_per_s2"
+        _NOISE, "standard deviation of the correlated part of acceleration_m_per_s2"
     )
     acceleration_correlation_s: Positive | None = key(
         _TIME, "correlation time of acceleration_correlated_m_per_s2"
@@ -342,7 +350,7 @@ class FitSettings(Section):
     )
     spread: Positive = key(
         "a positive number",
-        "Relative distance of the other starting points; 0.3 is 30 percent.",
+        "Relative spread of the other starting points; 0.3 is 30 percent.",
         default=0.3,
     )
     seed: Annotated[int, Field(ge=0)] = key(
@@ -373,11 +381,12 @@ class FitSettings(Section):
         "the name of a solver", "Integration method, such as tsit5 (default: springs5)."
     )
     tolerance: Positive | None = key(
-        "a positive number", "Tolerance of the integration (default: chosen by its effect)."
+        "a positive number",
+        "Tolerance of the integration (default: chosen from its effect on the estimates).",
     )
     optimiser: Annotated[Any, Field(exclude=True), BeforeValidator(_known_optimiser)] = key(
         _OPTIMISER,
-        "Optimiser to use instead of the giajax trust region; cannot be given in a file.",
+        "Optimiser to use instead of the trust region of giajax; cannot be given in a file.",
     )
     max_iterations: Annotated[int, Field(ge=1)] = key(
         "a whole number of at least 1", "Maximum number of trial steps of the fit.", default=50
@@ -517,7 +526,7 @@ class Figure(Section):
             if any(item is not None for item in goals):
                 raise ValueError(
                     "gives determined = false and a figure to reach, but may give only one of "
-                    "them: remove the other"
+                    "them: remove one"
                 )
         elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
             raise ValueError(

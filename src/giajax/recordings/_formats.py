@@ -100,8 +100,8 @@ class Rows(NamedTuple):
         if bad.size:
             row, column = divmod(int(bad[0]), len(columns))
             raise InputError(
-                f"{columns[column]} has {table[bad[0]]:g} in row {row + self.first}, but may have "
-                f"{VALUE:g} at most: correct it, or leave the cell empty"
+                f"{columns[column]} has {table[bad[0]]:g} in row {row + self.first}, but values "
+                f"must be at most {VALUE:g} in magnitude: correct it, or leave the cell empty"
             )
         return dict(zip(wanted, table.reshape(-1, len(wanted)).T, strict=True))
 
@@ -193,8 +193,8 @@ class AbstractFormat(ABC):
             return "px"
         if how.unit is None:
             upwards = (
-                ", or, for pixels that are counted upwards, --origin U,V, the position of their "
-                "origin in the image"
+                ", or, for pixel coordinates that increase upwards, --origin U,V, the position of "
+                "their origin in the image"
             )
             raise InputError(
                 f"{sheet.path}: {self.program} does not give the unit of its coordinates: give "
@@ -679,7 +679,7 @@ def read_foreign(
         head = _head(data, separator)
         if (widest := max(map(len, head))) > FOREIGN_COLUMNS:
             raise InputError(
-                f"{path} has {widest:,} cells in a row, but may have {FOREIGN_COLUMNS:,} at most: "
+                f"{path} has {widest:,} cells in a row, but may have at most {FOREIGN_COLUMNS:,}: "
                 "export fewer columns"
             )
         for each in formats:

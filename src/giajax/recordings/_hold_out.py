@@ -61,7 +61,7 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
         parts = [split_run(run, first) for run, first in zip(runs, rows, strict=True)]
         if all(part.held is None for part in parts):
             raise InputError(
-                f"'{name}' holds out no measured value: hold out more, or omit this entry"
+                f"'{name}' holds out no measured value: hold out more data, or omit this entry"
             )
         for known, first in zip(held_from, rows, strict=True):
             known |= {channel: min(row, known.get(channel, row)) for channel, row in first.items()}
@@ -69,7 +69,7 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
     if all(part.fitted is None for part in parts):
         raise InputError(
             f"the held-out data ({', '.join(names)}) contain all measured values, so none is left "
-            "to fit: hold out less"
+            "to fit: hold out less data"
         )
     return tuple(parts)
 

@@ -37,8 +37,8 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
     footer = int.from_bytes(data[-8:-4], "little")
     if data[-4:] == b"PAR1" and PARQUET_FOOTER_BYTES < footer < len(data):
         raise InputError(
-            f"{path} has {footer:,} bytes of metadata, but may have {PARQUET_FOOTER_BYTES:,} at "
-            "most: export it with fewer columns or row groups"
+            f"{path} has {footer:,} bytes of metadata, but may have at most "
+            f"{PARQUET_FOOTER_BYTES:,}: export it with fewer columns or row groups"
         )
     try:
         rows, unpacked = _rows(data)
@@ -56,13 +56,13 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
             longest = cast("int | None", texts.len_bytes().max()) or 0
             if longest <= CELL_BYTES and len(series) * (_TEXT_BYTES + longest) > PARQUET_BYTES:
                 raise InputError(
-                    f"{path}: the strings of column {series.name!r} may have {PARQUET_BYTES:,} "
-                    "bytes at most: shorten them"
+                    f"{path}: the strings of column {series.name!r} may occupy at most "
+                    f"{PARQUET_BYTES:,} bytes: shorten them"
                 )
             if longest > CELL_BYTES:
                 raise InputError(
                     f"{path}: a cell of column {series.name!r} has {longest:,} bytes, but may "
-                    f"have {CELL_BYTES:,} at most: correct it"
+                    f"have at most {CELL_BYTES:,}: correct it"
                 )
     return frame.columns, frame.get_columns(), 1
 
@@ -77,8 +77,8 @@ def _check_parquet(schema: Mapping[str, pl.DataType], rows: int, unpacked: int, 
     size = max(rows * row, unpacked)
     if size > PARQUET_BYTES:
         raise InputError(
-            f"{path} has {size:,} bytes after decompression, but may have {PARQUET_BYTES:,} at "
-            "most: shorten it"
+            f"{path} has {size:,} bytes after decompression, but may have at most "
+            f"{PARQUET_BYTES:,}: shorten it"
         )
 
 

@@ -107,9 +107,10 @@ def _before_commands(look: Look) -> Iterator[Oddity]:
         yield Oddity(
             "start",
             f"{' and '.join(moving) if len(moving) < 3 else more} "
-            f"{'moves' if len(moving) == 1 else 'move'} before any command changes (until "
-            f"{look.at([look.still - 1])}), but the arm is assumed to start at rest: the clocks "
-            "of camera and commands may differ, or the arm may have been moving",
+            f"{'moves' if len(moving) == 1 else 'move'} up to "
+            f"{look.at([look.still - 1])}, before any command changes, but the arm is assumed to "
+            "start at rest, so the clocks of camera and commands may differ, or the arm may have "
+            "been moving",
             "correct the time stamps, or give the initial state in [initial] (free = true lets "
             "the fit estimate it)",
             tuple(moving),
@@ -437,8 +438,8 @@ def _farther_in(pose: _Pose) -> Iterator[_Undone]:
             yield _Undone(
                 "command",
                 f"link {point.link + 1} turns by {np.rad2deg(turned):.2g} deg, but no joint "
-                f"between the base and this link is commanded:"
-                f" {name} may belong to another joint",
+                f"between the base and this link is commanded, so {name} may belong to another "
+                "joint",
                 f"--rename {name}_deg=joint{max(point.link - 1, 0) + 1:02d}_command_deg, or name "
                 "the column after the joint that was commanded",
             )
@@ -477,7 +478,7 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
         yield _Undone(
             "frame",
             f"the first rows differ from the straight arm by ({stated}) m, which is the same "
-            "offset in all columns: the origin of the camera frame may be wrong",
+            "offset in all columns, so the origin of the camera frame may be wrong",
             f"--free {path} --start {path}={stated}, or subtract it from the columns",
         )
         return
@@ -494,7 +495,8 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     )  # fmt: skip
     yield _Undone(
         "frame",
-        f"the first rows are up to {np.max(np.abs(rest)):.3g} m away from the straight arm: {how}",
+        f"the first rows are up to {np.max(np.abs(rest)):.3g} m away from the straight arm, so "
+        f"{how}",
         f"--free {CAMERA.rotation.path} --free {path}"
         if turned_so
         else (
@@ -544,7 +546,7 @@ def _reach(look: Look) -> Iterator[Oddity]:
         remedy = renamed if channel.unit == "m" else "convert the values"
     yield Oddity(
         "units" if unit else "frame",
-        f"{look.of(channel)} reaches {far:.4g} m, but the arm limits it to {own:.4g} m: {what}",
+        f"{look.of(channel)} reaches {far:.4g} m, but the arm limits it to {own:.4g} m, so {what}",
         remedy,
         (name,),
     )

@@ -166,9 +166,9 @@ def sentinels(look: Look) -> Iterator[Oddity]:
                 rows, unit = cells.rows[here], cells.channel.unit
                 yield Oddity(
                     "lost cells",
-                    f"{look.cells(count, cells)} {recorded:g}{' ' * bool(unit)}{unit}, at a "
-                    f"distance from the other values of {away / span:.2g} times their range "
-                    f"({look.at(rows)}), and may mark missing values",
+                    f"{look.cells(count, cells)} {recorded:g}{' ' * bool(unit)}{unit}, "
+                    f"which differs from the other values by {away / span:.2g} times their range "
+                    f"or more ({look.at(rows)}), and may mark missing values",
                     "empty these cells",
                     (name,),
                     look.numbers(rows),
@@ -224,7 +224,7 @@ def wraps(look: Look) -> Iterator[Oddity]:
                 "wrap",
                 f"{look.of(channel)} jumps by about {turn} in {look.at(where)}, as a wrapped angle "
                 "does",
-                f"unwrap it: add or subtract {turn} from there on (numpy.unwrap)",
+                f"unwrap it by adding or subtracting {turn} from there on (numpy.unwrap)",
                 (name,),
                 look.numbers(where),
             )
@@ -262,7 +262,8 @@ def glitches(look: Look) -> Iterator[Oddity]:
         yield Oddity(
             "glitches",
             f"{look.of(cells.channel)} differs strongly from neighbouring cells in "
-            f"{look.at(rows)}: {'glitches' if len(rows) > 1 else 'a glitch'} in the recording",
+            f"{look.at(rows)}, probably because of "
+            f"{'glitches' if len(rows) > 1 else 'a glitch'} in the recording",
             "empty these cells, or fit with --loss student_t, which is robust to outliers",
             (name,),
             look.numbers(rows),
@@ -320,8 +321,8 @@ def takes(look: Look) -> Iterator[Oddity]:
     if at:
         yield Oddity(
             "take",
-            f"all recorded values return to their first values at once in {look.at(at)}: a second "
-            "recording seems to start there",
+            f"all recorded values return to their first values at once in {look.at(at)}, so a "
+            "second recording seems to start there",
             "split the file there, and give both parts with --data",
             tuple(each.channel.name for each in moving),
             look.numbers(at),
@@ -367,15 +368,15 @@ def stamps(look: Look) -> Iterator[Oddity]:
             "time",
             f"the time stamps are {times[0]:g}, {times[1]:g}, {times[2]:g} s and so on to "
             f"{times[-1]:g} s, like frame numbers",
-            "if so, divide time_s by the frame rate of the camera",
+            "if they are frame numbers, divide time_s by the frame rate of the camera",
         )
     elif middle < 5e-5 or (middle > 5.0 and _turns_back(look)):
         off, by = (
             ("milliseconds", "time_s=time_ms") if middle > 5 else ("seconds", "time_ms=time_s")
         )
         yield wrong_unit(
-            f"the rows are {middle:.3g} s apart, which is an unusual sampling interval: the time "
-            f"stamps may be {off}",
+            f"the rows are {middle:.3g} s apart, which is an unusual sampling interval, so the "
+            f"time stamps may be {off}",
             f"--rename {by}, if this is the case",
         )
 
@@ -471,8 +472,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         shown = f"{look.of(channel)} reaches {channel.from_si(most):.4g}"
         if channel.quantity == "ratio" and channel.kind == "contraction" and most > 1:
             yield wrong_unit(
-                f"{shown}, but a contraction is a fraction of the length: the values may be in "
-                "percent",
+                f"{shown}, but a contraction is a fraction of the length, so the values may be "
+                "in percent",
                 "divide the column by 100",
                 (name,),
             )
@@ -491,7 +492,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
                 renamed = f"--rename {channel.column}={name}_deg, if this is the case"
                 yield wrong_unit(
                     f"{look.of(channel)} reaches {np.rad2deg(most):.4g} deg, or changes faster "
-                    f"than an arm can turn: the values may {said}",
+                    f"than an arm can turn, so the values may {said}",
                     renamed if degrees else "convert the values",
                     (name,),
                 )
@@ -503,8 +504,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             usual = float(np.nanquantile(np.abs(values), 0.9))
             if size and usual > 1.2 * size[channel.component or 0]:
                 yield wrong_unit(
-                    f"{shown} px, but the image has {size[channel.component or 0]} px: the pixels "
-                    "may refer to an image of another size",
+                    f"{shown} px, but the image has {size[channel.component or 0]} px, so the "
+                    "pixels may refer to an image of another size",
                     "correct size_px in [camera.NAME], or the columns",
                     (name,),
                 )
@@ -514,8 +515,8 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
         size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
         if len(parts) == 3 and 0.9 < size < 1.1:
             yield wrong_unit(
-                f"{name} has a median of {size:.3g} m/s^2, but 9.81 is expected at rest: the "
-                "values may be in g",
+                f"{name} has a median magnitude of {size:.3g} m/s^2, but 9.81 is expected at rest, "
+                "so the values may be in g",
                 "multiply its columns by 9.81",
                 (name,),
             )
@@ -546,8 +547,9 @@ def noise_too_small(look: Look) -> Iterator[Oddity]:
             unit = "the values may be in rad, " if angle and cells.channel.unit == "deg" else ""
             yield Oddity(
                 "units" if unit else "noise",
-                f"{look.of(cells.channel)} varies from cell to cell {factor:.2g} times less than "
-                f"the stated noise: {unit}{'or ' * bool(unit)}the stated noise is too large",
+                f"the stated noise of {look.of(cells.channel)} is {factor:.2g} times the noise "
+                f"estimated from its cells, so {unit}{'or ' * bool(unit)}the stated noise is too "
+                "large",
                 (f"--rename {cells.channel.column}={name}_rad, or " if unit else "")
                 + "correct [noise]",
                 (name,),

@@ -71,7 +71,7 @@ def constants(look: Look) -> Iterator[Oddity]:
                     yield wrong_constant(
                         f"{name}.{key} is {number[bad][0]:g}, but the usual range is from "
                         f"{low / part.factor:.3g} to {high / part.factor:.3g} in the unit of its "
-                        "key: the unit may be wrong",
+                        "key, so the unit may be wrong",
                         "correct it in the sidecar",
                     )
     if look.run.model == "arm":
@@ -92,7 +92,7 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
     if inertia is not None and np.any(inertia > 10 * mass * length**2):
         yield wrong_constant(
             f"arm.link_inertia_transverse_kg_m2 is {np.max(inertia):.3g}, more than ten times "
-            f"mass times length squared ({np.max(mass * length**2):.3g})",
+            f"the product of mass and squared length ({np.max(mass * length**2):.3g})",
             "correct the inertia, or its unit",
         )
     # An arm that only yaws does not deflect under its weight.
@@ -105,8 +105,8 @@ def _constants_of_arm(look: Look) -> Iterator[Oddity]:
         if not 1e-2 < ratio < 10:
             yield wrong_constant(
                 f"a link weighs {ratio:.3g} times the air that it displaces, but without gravity, "
-                f"buoyancy must balance its weight: the mass or a dimension may be wrong by a "
-                f"power of ten",
+                "buoyancy must balance its weight, so the mass or a dimension may be wrong by a "
+                "power of ten",
                 "correct link_mass_kg, link_diameter_m or link_length_m in [arm], or set "
                 "gravity_m_per_s2",
             )
@@ -183,15 +183,15 @@ def force(look: Look) -> Iterator[Oddity]:
     if ratio > 20 or (weak and ratio < 1e-2):
         yield wrong_unit(
             f"the force is {ratio:.2g} times the force of an ideal muscle of this size and "
-            "pressure: force, pressure or diameter may have a wrong unit",
+            "pressure, so force, pressure or diameter may have a wrong unit",
             "correct the unit in the name of the column, or the key in [muscle]",
             ("force", "pressure"),
         )
     limit = stated.get(BRAIDED.pressure_limit.path)
     if limit is not None and not 0.01 < most / float(limit) < 5:
         yield wrong_unit(
-            f"the pressure reaches {most / float(limit):.2g} times the specified limit: one of "
-            "them may have a wrong unit",
+            f"the pressure reaches {most / float(limit):.2g} times the specified limit, so one of "
+            "the two may have a wrong unit",
             "correct the unit in the name of the column, or pressure_limit_kPa",
             ("pressure",),
         )

@@ -79,8 +79,8 @@ def check_times(times: Times, naming: Naming, *, integrated: bool) -> None:
         )
     if integrated and times[-1] - times[0] > DURATION_S:
         raise InputError(
-            f"{naming.source} lasts {times[-1] - times[0]:.6g} s, but may last {DURATION_S:g} s "
-            "at most: cut it into several runs"
+            f"{naming.source} lasts {times[-1] - times[0]:.6g} s, but may last at most "
+            f"{DURATION_S:g} s: cut it into several runs"
         )
 
 

@@ -119,7 +119,7 @@ def split_csv(
     head, _, body = data.partition(b"\n")
     if head.count(b",") >= COLUMNS:
         raise InputError(
-            f"{path} has {head.count(b',') + 1:,} columns, but may have {COLUMNS:,} at most: "
+            f"{path} has {head.count(b',') + 1:,} columns, but may have at most {COLUMNS:,}: "
             "remove some"
         )
     check_header(data[:_TOP].decode("utf-8", errors="ignore"), path)
@@ -185,7 +185,7 @@ def _check_lengths(data: bytes, path: Path, separator: str, first_row: int) -> N
         row = above - 1 + first_row if above else 1
         raise InputError(
             f"{path}: a cell in row {row} has "
-            f"{int(lengths[bad[0]]):,} characters, but may have {CELL_BYTES:,} at most: correct it"
+            f"{int(lengths[bad[0]]):,} characters, but may have at most {CELL_BYTES:,}: correct it"
         )
 
 
@@ -355,7 +355,7 @@ def _split(path: Path) -> tuple[bytes, list[str], list[pl.Series], int]:
     header, columns, first_row = split(data, path)
     if len(header) > COLUMNS:
         raise InputError(
-            f"{path} has {len(header):,} columns, but may have {COLUMNS:,} at most: remove some"
+            f"{path} has {len(header):,} columns, but may have at most {COLUMNS:,}: remove some"
         )
     if not columns or len(columns[0]) == 0:
         raise InputError(f"{path} has a header but no rows: it must have samples, so add them")

@@ -353,8 +353,8 @@ def _section(summary: PosteriorSummary, result: FitResult, folder: Path) -> Page
     if summary.held:
         note += f", as are parameters without an effect on any channel ({', '.join(summary.held)})"
     note += (
-        ". R-hat is 1 if the chains agree; ESS is the number of independent draws; the linear "
-        "interval uses the Jacobian alone."
+        ". R-hat is 1 if the chains agree; ESS is the equivalent number of independent draws; the "
+        "linear interval is computed from the Jacobian alone."
     )
     shares = [
         (share, f"{channel} of {run}")

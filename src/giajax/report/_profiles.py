@@ -190,8 +190,8 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         plots=[(curve.name, _plot(curve)) for curve in curves],
         note="Each quantity was fixed at a series of values while all others were fitted. "
         "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
-        f"error. The {100 * found.level:.3g} % interval ends where the line crosses the level. At "
-        "orange dots, another parameter is at a bound.",
+        f"error. The {100 * found.level:.3g} % interval ends where the solid line crosses the "
+        "horizontal line. At orange dots, another parameter is at a bound.",
     )
 
 
@@ -229,7 +229,7 @@ RecordView(
     record=Profiles,
     table=_table,
     sentences=lambda found, most: [
-        f"intervals at level {found.level:.3g}; 'open' if the data give no limit"
+        f"intervals at confidence level {found.level:.3g}; 'open' if the data give no limit"
     ],
     figure=_figure,
     section=_section,

@@ -220,9 +220,9 @@ def influence_table(found: Influence, most: int | None = None) -> tuple[list[str
 def influence_summary(found: Influence) -> list[str]:
     """Return sentences for the table: its meaning, failures, and omissions."""
     sentences = [
-        "shift of each parameter when the part is left out, in units of its standard error, with "
-        "its standard error without the part in the same units in brackets; a part contradicts "
-        "the others if shift / expected exceeds 3"
+        "shift of each parameter when the part is left out, in units of the parameter's standard "
+        "error; in brackets, the standard error without the part, in the same units; a part "
+        "contradicts the others if shift / expected exceeds 3"
     ]
     lost = [part for part in found.parts if None in part.steps.values()]
     for path in found.parameters:

@@ -72,13 +72,13 @@ def _cells(row: Suspect) -> list[str]:
         shown = format_estimate(estimate, error if isinstance(error, float) else None)
     remarks = [row.note] if row.note else []
     if row.begun:
-        remarks.append("tested with the initial values of the fit")
+        remarks.append("tested at the initial values of the fit")
     if others := dict.fromkeys([*row.alike, *row.together]):
         remarks.append(f"the data can hardly distinguish it from {', '.join(others)}")
     if row.kind == "switch" and estimate is not None:
-        remarks.append("estimate: fraction of the change, 0 to 1")
+        remarks.append("the estimate is the fraction of the change, from 0 to 1")
     if row.kind == "factor":
-        remarks.append("a common factor of all its elements")
+        remarks.append("the estimate is a common factor of all elements")
     return [
         row.path,
         _plain(value),
@@ -176,7 +176,7 @@ def explained_summary(found: Explanation) -> list[str]:
             unit = f" {one.unit}" if one.unit else ""
             sentences.append(
                 f"{one.path} = {value} +- {error}{unit}, where "
-                f"{format_number(one.selection_error, '.2g')} of the error results from other "
+                f"{format_number(one.selection_error, '.2g')} of the error is due to the other "
                 "models that fit nearly as well"
             )
         sentences.append(

@@ -136,8 +136,8 @@ def _noise(result: FitResult) -> list[str]:
     if trends := result.noise.trends:
         sentence += (
             f"; the correlation of {', '.join(trends[:4])}{', ...' * (len(trends) > 4)} extends "
-            "over at least half of the record: the model lacks a trend, or the stated noise is "
-            "too large; the standard errors are not reduced"
+            "over at least half of the recording: the model lacks a trend, or the stated noise is "
+            "too large; the standard errors are not reduced by this correlation"
         )
     if factors := _range(list(result.noise.widening.values()), 2):
         sentence += (
@@ -287,7 +287,10 @@ def _residuals(run: RunFit) -> list[str]:
             shown = "not finite"
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         if weights > _WEIGHTED:
-            against += f" from sample to sample, up to {weights:.3g} times as large in the weights"
+            against += (
+                f" from sample to sample, up to {weights:.3g} times as large in the weights of the "
+                "fit"
+            )
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
     return lines

@@ -431,8 +431,8 @@ class _Study:
             client = getattr(self.executor, "_client", None)
             if getattr(client, "status", "") in ("closing", "closed"):
                 raise InputError(
-                    "the scheduler is lost: start it again, and run the same command with its "
-                    "address"
+                    "the scheduler no longer answers: start it again, and run the same command "
+                    "with its address"
                 )
             for future in done:
                 self._end(self.running.pop(future), future)

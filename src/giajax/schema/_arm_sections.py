@@ -60,7 +60,7 @@ class PinholeSection(Section):
 
     mount: Annotated[str, Field(pattern=_PLACES.pattern)] | None = key(
         '"room", "tip" or a link such as "link06"',
-        "body that the camera is fixed to",
+        "body to which the camera is fixed",
         preset="room",
     )
     size_px: (
@@ -115,8 +115,9 @@ class CamerasSection(_Named):
         for name in self.named():
             if not re.fullmatch(CAMERA_NAME, name, re.ASCII) or name in taken:
                 raise ValueError(
-                    f"has a camera {name!r}, but its name must consist of letters, digits and _, "
-                    f"begin with a letter and not be one of {', '.join(taken)}: rename it"
+                    f"has a camera {name!r}, but its name may contain only letters, digits and _, "
+                    f"must begin with a letter and must not be one of {', '.join(taken)}: rename "
+                    "it"
                 )
         return self
 
@@ -201,7 +202,10 @@ class CommandSection(Section):
     """`[command]`: interpolation of the joint commands between two rows."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
+        _BETWEEN_ROWS,
+        "interpolation of the commands between samples",
+        default="linear",
+        example="linear",
     )
 
 
@@ -209,11 +213,14 @@ class WindSection(Section):
     """`[wind]`: interpolation of the wind columns between two rows, or a constant wind instead."""
 
     interpolation: Interpolation = key(
-        _BETWEEN_ROWS, "interpolation between samples", default="linear", example="linear"
+        _BETWEEN_ROWS,
+        "interpolation of the wind between samples",
+        default="linear",
+        example="linear",
     )
     velocity_m_per_s: Vector | None = key(
         "a list of three numbers",
-        "constant wind (x, y, z), instead of wind columns",
+        "constant wind velocity (x, y, z), used instead of wind columns",
         example=[0.0, 0.0, 0.2],
     )
 
@@ -296,7 +303,7 @@ class Obstacle(Section):
                     f"remove it"
                 )
         if self.normal == [0.0, 0.0, 0.0]:
-            raise ValueError(f"the normal of '{self.name}' is zero: give a vector that is not zero")
+            raise ValueError(f"the normal of '{self.name}' is zero: give a vector other than zero")
         return self
 
 
@@ -392,8 +399,8 @@ class ArmSection(_Surroundings):
         Annotated[Literal["centre", "strip"] | str, _known_law("drag", "centre", "strip")] | None
     ) = key(
         '"centre" or "strip"',
-        "drag from the velocity of the centre of each link (eq. 1), or from the cross flow along "
-        "the link",
+        "drag computed from the velocity of the centre of each link (eq. 1), or from the cross "
+        "flow at several points along the link",
         preset="centre",
     )
     strip_points: Annotated[int, Field(ge=1, le=20)] | None = key(
@@ -401,7 +408,8 @@ class ArmSection(_Surroundings):
     )
     drag_curve: Literal["constant", "cylinder"] | None = key(
         '"constant" or "cylinder"',
-        "C_D is constant, or depends on the Reynolds number as for a cylinder",
+        "drag coefficient C_D, which is constant or depends on the Reynolds number as for a "
+        "cylinder",
         preset="constant",
     )
     added_mass: Literal["kirchhoff", "inertia"] | None = key(
@@ -427,8 +435,8 @@ class ArmSection(_Surroundings):
     )
     link_inertia_kg_m2: _SIX | list[_SIX] | None = key(
         "six numbers (xx, yy, zz, xy, xz, yz) or a list of such rows, one for each link",
-        "inertia about the centre of mass of a link that is not axially symmetric; replaces the "
-        "transverse and axial inertias",
+        "inertia tensor about the centre of mass of a link that is not axially symmetric; "
+        "replaces the transverse and axial moments of inertia",
         example=[1e-4, 5e-3, 5.1e-3, 1e-4, 0.0, 0.0],
     )
     point_masses: list[PointMass] | None = key(
@@ -449,17 +457,17 @@ class ArmSection(_Surroundings):
         )
     )
     muscle_law: Literal["braided", "empirical"] | None = key(
-        '"braided" or "empirical"', "law of these muscles, as in [muscle]", preset="braided"
+        '"braided" or "empirical"', "force law of these muscles, as in [muscle]", preset="braided"
     )
     muscle_correction: Literal["continuous", "none"] | None = key(
         '"continuous" or "none"',
-        "alpha and beta of joints with muscles, as in [joint]",
+        "torque corrections alpha and beta of joints with muscles, as in [joint]",
         preset="continuous",
     )
     muscle_blend_deg: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)] | None = key(
         "a number above 0 and up to 30",
-        "half-width of the interval about 0 in which alpha and beta are blended, because a jump "
-        "would stop the motion",
+        "half-width of the interval of joint angles about 0 in which alpha and beta are blended; "
+        "a jump between them would stop a joint at 0",
         preset=1.0,
     )
     parameters: dict[Name, Finite | list[Finite]] | None = key(

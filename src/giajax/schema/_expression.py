@@ -82,7 +82,7 @@ class Expression:
 
 
 def _wrong(text: str) -> InputError:
-    return InputError(f"the expression {shown(text)} must consist of {_MADE_OF}")
+    return InputError(f"the expression {shown(text)} may contain only {_MADE_OF}")
 
 
 def _node(node: ast.AST, text: str, paths: dict[str, None], depth: int) -> _Node:

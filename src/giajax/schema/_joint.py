@@ -48,46 +48,74 @@ class _Braided(Group):
     braid_angle = guess(
         float(np.deg2rad(18)),
         "rad",
-        "angle between braid and axis at rest (18 deg for thin muscles)",
+        "angle between the braid and the axis of a muscle at rest (18 deg for thin muscles)",
         upper=float(np.arctan(np.sqrt(2))),
     ).keyed("braid_angle_deg")
     end_correction = freed_guess(
-        1.6, "", "k: ratio of the contraction in the ideal law to the contraction of the muscle"
+        1.6,
+        "",
+        "k: ratio of the contraction used in the ideal law to the actual contraction of the muscle",
     )
-    effectiveness = freed_guess(1.0, "", "eta: ratio of the force to the force of the ideal law")
+    effectiveness = freed_guess(
+        1.0, "", "eta: ratio of the force of the muscle to the force of the ideal law"
+    )
     dead_band = freed_guess(10e3, "Pa", "p_0: pressure below which the muscle exerts no force")
-    pressure_limit = _pressure_limit(300e3, "maximum pressure (0.3 MPa for thin muscles)")
+    pressure_limit = _pressure_limit(
+        300e3, "maximum gauge pressure of the muscle (0.3 MPa for thin muscles)"
+    )
 
 
 class _Empirical(Group):
-    force_limit = freed_guess(20.0, "N", "F_max of a very long muscle at the pressure limit")
+    force_limit = freed_guess(
+        20.0, "N", "maximum force F_max of a very long muscle at the pressure limit"
+    )
     contraction_limit = freed_guess(
-        0.25, "", "contraction without a load at the pressure limit", upper=1
+        0.25, "", "contraction of an unloaded muscle at the pressure limit", upper=1
     )
-    bell = freed_guess(1.0, "", "decrease of the active part of the force with strain")
-    decay = freed_guess(4.0, "", "increase of the passive part of the force with strain")
+    bell = freed_guess(
+        1.0,
+        "",
+        "coefficient in the factor exp(-(bell e)^2) of the active force, where e is "
+        "contraction / contraction_limit",
+    )
+    decay = freed_guess(
+        4.0,
+        "",
+        "coefficient in the factor 1 - exp(-decay e) of the passive force, where e is "
+        "contraction / contraction_limit",
+    )
     end_length = Declaration(
-        0.0075, "m", "length of the ends, which do not contribute to F_max", assumed=True
+        0.0075,
+        "m",
+        "total length of the muscle ends, which do not contribute to F_max",
+        assumed=True,
     )
-    length_scale = guess(0.05, "m", "length over which F_max saturates")
-    pressure_limit = _pressure_limit(300e3, "maximum pressure, at which q = 1")
+    length_scale = guess(
+        0.05, "m", "length scale of the saturation of F_max as a function of muscle length"
+    )
+    pressure_limit = _pressure_limit(
+        300e3, "maximum gauge pressure of the muscle, to which the relative pressure q refers"
+    )
 
 
 class _Piston(Group):
-    bore = freed_guess(0.025, "m", "diameter of the bore")
+    bore = freed_guess(0.025, "m", "bore diameter of the piston's cylinder")
     offset = Declaration(
-        0.0, "N", "force at zero pressure: the offset of the load cell", frozen=False
+        0.0, "N", "force reading at zero pressure (offset of the load cell)", frozen=False
     )
-    pressure_limit = _pressure_limit(1e6, "maximum pressure")
+    pressure_limit = _pressure_limit(1e6, "maximum gauge pressure of the piston's cylinder")
 
 
 class _Friction(Group):
     half_width = freed_guess(
         1.0,
         "N",
-        "half of the force difference between filling and exhausting (one value for each pressure)",
+        "half-width of the friction band: half of the force difference between filling and "
+        "exhausting (one value for each pressure)",
     )
-    presliding = freed_guess(2e-4, "m", "displacement over which friction builds up")
+    presliding = freed_guess(
+        2e-4, "m", "displacement from rest at which friction reaches its full value"
+    )
 
 
 AT_REST = _AtRest("")
@@ -123,9 +151,9 @@ def _coordinate(
     )
 
 
-_ANCHOR = "ends A, C, M, N of the muscle"
-_WIRE = "ends B, D of the wire"
-_CONTACT = "shoulders P, Q of the balloon"
+_ANCHOR = "position of the ends A, C, M, N of the muscle"
+_WIRE = "position of the ends B, D of the wire"
+_CONTACT = "position of the shoulders P, Q of the balloon"
 
 
 class _Geometry(Group):
@@ -135,7 +163,7 @@ class _Geometry(Group):
     wire_y = _off("wire_m", 0.04, _WIRE, lower=-np.inf)
     contact_x = _along("contact_m", 0.055, _CONTACT, lower=0)
     contact_y = _off("contact_m", 0.15, _CONTACT, lower=0)
-    wire_length = guess(0.34, "m", "length L_wire of the wire through the bush").keyed(
+    wire_length = guess(0.34, "m", "length L_wire of the wire that passes through the bush").keyed(
         "wire_length_m"
     )
     muscle_length = guess(MUSCLE_LENGTH, "m", "length L_pam of the muscle at rest").keyed(
@@ -145,44 +173,53 @@ class _Geometry(Group):
 
 class _Load(Group):
     torque = Declaration(
-        0.3, "N m", "constant torque on the joint, used where a run does not record the torque"
+        0.3, "N m", "constant torque on the joint, used if a run does not record the torque"
     ).keyed("torque_N_m", lower=0)
 
 
 class _Alpha(Group):
-    offset = Declaration(0.03, "N m", "value of alpha at angles up to its threshold", frozen=False)
+    offset = Declaration(
+        0.03,
+        "N m",
+        "value of the torque correction alpha at bending angles up to its threshold",
+        frozen=False,
+    )
     threshold = freed(
         float(np.deg2rad(40)),
         "rad",
-        "bending angle above which alpha grows (40 deg)",
+        "bending angle above which the torque correction alpha increases (40 deg)",
         upper=float(np.pi / 2),
     )
     curvature = Declaration(
         _PER_SQUARE_DEGREE / 1600,
         "N m/rad^2",
-        "growth of alpha with the square of the angle beyond its threshold (1/1600 per deg^2)",
+        "coefficient of the increase in alpha with the square of the angle beyond its threshold "
+        "(1/1600 per deg^2)",
         frozen=False,
     )
 
 
 class _Beta(Group):
-    offset = Declaration(0.01, "N m", "value of beta at the straight joint", frozen=False)
+    offset = Declaration(
+        0.01, "N m", "value of the torque correction beta for the straight joint", frozen=False
+    )
     width = freed(
         float(np.deg2rad(2)),
         "rad",
-        "angle at which the wedge of beta reaches zero (2 deg)",
+        "bending angle at which the linearly decreasing part of beta reaches zero (2 deg)",
         upper=float(np.pi / 2),
     )
     threshold = freed(
         float(np.deg2rad(20)),
         "rad",
-        "bending angle beyond which beta decreases (20 deg)",
+        "bending angle beyond which beta decreases quadratically (20 deg)",
         upper=float(np.pi / 2),
     )
     curvature = Declaration(
         0.3 * _PER_SQUARE_DEGREE / 1600,
         "N m/rad^2",
-        "decrease of beta with the square of the angle beyond its threshold (0.3/1600 per deg^2)",
+        "coefficient of the decrease in beta with the square of the angle beyond its threshold "
+        "(0.3/1600 per deg^2)",
         frozen=False,
     )
 
@@ -191,7 +228,7 @@ class _Drive(Group):
     lag = Declaration(
         0.2,
         "s",
-        "time constant with which the pressure of a muscle follows its command (63 %)",
+        "time constant of the first-order lag of a muscle's pressure behind its command (63 %)",
         lower=1e-3,
         upper=1e3,
         optional=True,
@@ -206,7 +243,10 @@ class _Drive(Group):
         optional=True,
     )
     stop_stiffness = guess(
-        10.0, "N m/rad", "stiffness of a joint with muscles at angles beyond 60 deg", upper=1e4
+        10.0,
+        "N m/rad",
+        "stiffness of the end stop of a joint with muscles, which acts beyond 60 deg",
+        upper=1e4,
     )
 
 
@@ -218,44 +258,61 @@ DRIVE = _Drive("drive")
 
 
 class _Play(Group):
-    thresholds = positive(0.0, "input", "half-width of the backlash of the element")
+    thresholds = positive(0.0, "input", "half-width of the backlash of the play element")
 
 
 class _Stop(Group):
-    thresholds = positive(1.0, "input", "input at which the element begins to slide")
+    thresholds = positive(
+        1.0, "input", "change in the input from rest at which the stop element begins to slide"
+    )
 
 
 class _PrandtlIshlinskii(Group):
-    elastic = freed(1.0, "output/input", "weight of the input in the output")
-    weights = freed(0.1, "output/input", "weights of the plays or stops")
-    thresholds = positive(1.0, "input", "thresholds of the plays or stops")
+    elastic = freed(
+        1.0,
+        "output/input",
+        "coefficient of the elastic part of the output, which is proportional to the input",
+    )
+    weights = freed(0.1, "output/input", "weights of the play or stop elements in the output")
+    thresholds = positive(1.0, "input", "thresholds of the play or stop elements")
 
 
 class _DeadZones(Group):
-    slope = freed(1.0, "output/input", "slope between the dead zones")
-    upper_thresholds = positive(1.0, "input", "thresholds of the dead zones above 0")
-    upper_slopes = freed(1.0, "output/input", "slope beyond each dead zone above 0")
-    lower_thresholds = positive(
-        1.0, "input", "thresholds of the dead zones below 0, as distances from 0"
+    slope = freed(
+        1.0, "output/input", "slope of the output between the dead-zone thresholds nearest to 0"
     )
-    lower_slopes = freed(1.0, "output/input", "slope beyond each dead zone below 0")
+    upper_thresholds = positive(1.0, "input", "thresholds of the dead zones at positive values")
+    upper_slopes = freed(
+        1.0, "output/input", "slope of the output beyond each positive dead-zone threshold"
+    )
+    lower_thresholds = positive(
+        1.0, "input", "thresholds of the dead zones at negative values, as distances from 0"
+    )
+    lower_slopes = freed(
+        1.0, "output/input", "slope of the output beyond each negative dead-zone threshold"
+    )
 
 
 class _ModifiedPrandtlIshlinskii(Group):
-    weights = freed(0.1, "", "weights of the plays, relative to the input")
-    thresholds = positive(1.0, "input", "thresholds of the plays")
+    weights = freed(0.1, "", "weights of the play elements, relative to the weight of the input")
+    thresholds = positive(1.0, "input", "thresholds of the play elements")
 
 
 class _Preisach(Group):
     slope = Declaration(
-        0.5, "output/input", "slope of the reversible part of the output", frozen=False
+        0.5,
+        "output/input",
+        "slope of the reversible part of the output versus the input",
+        frozen=False,
     )
-    saturation = freed(0.5, "output", "output with all relays switched up")
+    saturation = freed(
+        0.5, "output", "hysteretic part of the output if all relays are in the upper state"
+    )
     coercivity = freed(0.2, "input", "median half-width of the relays")
     coercivity_spread = Declaration(
         0.7,
         "",
-        "standard deviation of the logarithm of the half-widths",
+        "standard deviation of the logarithm of the half-widths of the relays",
         lower=0.05,
         upper=5,
         frozen=False,
@@ -265,43 +322,88 @@ class _Preisach(Group):
 
 
 class _BoucWen(Group):
-    elastic = freed(0.5, "output/input", "weight of the input in the output")
-    alpha = freed(0.5, "output/input", "slope of the hysteretic part at 0")
+    elastic = freed(
+        0.5,
+        "output/input",
+        "coefficient of the elastic part of the output, which is proportional to the input",
+    )
+    alpha = freed(
+        0.5, "output/input", "initial slope of the hysteretic part of the output versus the input"
+    )
     beta = positive(
         1.0,
         "1/input",
-        "scale of gamma and delta; only the products beta gamma and beta delta are identifiable",
+        "common factor of gamma and delta; only the products beta gamma and beta delta are "
+        "identifiable",
     )
-    gamma = freed(1.0, "", "width of the loop")
-    delta = Declaration(0.1, "", "shape of the loop", frozen=False)
-    nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
+    gamma = freed(
+        1.0,
+        "",
+        "coefficient of the dissipative term of the Bouc-Wen equation, which determines the "
+        "width of the loop",
+    )
+    delta = Declaration(
+        0.1,
+        "",
+        "coefficient of the second nonlinear term of the Bouc-Wen equation, which determines "
+        "the shape of the loop",
+        frozen=False,
+    )
+    nu = Declaration(
+        1.0,
+        "",
+        "exponent of the Bouc-Wen equation, which determines the sharpness of the knee",
+        lower=0.5,
+        upper=20,
+    )
 
 
 class _Branches(Group):
-    travel = positive(1.0, "output", "travel between the two branches")
+    travel = positive(
+        1.0,
+        "output",
+        "change in the desired output over which the command passes from one branch to the other",
+    )
 
 
 class _BoucWenOscillator(Group):
-    mass = freed(2.0, "kg", "moving mass")
-    damping = freed(10.0, "N s/m", "viscous damping")
-    stiffness = freed(5e4, "N/m", "stiffness parallel to the hysteretic element")
+    mass = freed(2.0, "kg", "moving mass of the oscillator")
+    damping = freed(10.0, "N s/m", "viscous damping coefficient of the oscillator")
+    stiffness = freed(5e4, "N/m", "stiffness of the spring parallel to the hysteretic element")
     alpha = freed(5e4, "N/m", "initial stiffness of the hysteretic element")
     beta = positive(
         1e3,
         "1/m",
-        "scale of gamma and delta; only the products beta gamma and beta delta are identifiable",
+        "common factor of gamma and delta; only the products beta gamma and beta delta are "
+        "identifiable",
     )
-    gamma = freed(0.8, "", "width of the loop")
-    delta = Declaration(-1.1, "", "shape of the loop", frozen=False)
-    nu = Declaration(1.0, "", "sharpness of the knee", lower=0.5, upper=20)
+    gamma = freed(
+        0.8,
+        "",
+        "coefficient of the dissipative term of the Bouc-Wen equation, which determines the "
+        "width of the loop",
+    )
+    delta = Declaration(
+        -1.1,
+        "",
+        "coefficient of the second nonlinear term of the Bouc-Wen equation, which determines "
+        "the shape of the loop",
+        frozen=False,
+    )
+    nu = Declaration(
+        1.0,
+        "",
+        "exponent of the Bouc-Wen equation, which determines the sharpness of the knee",
+        lower=0.5,
+        upper=20,
+    )
 
 
 class _Loop(Group):
-    offset = Declaration(0.0, "output", "offset added to the output", frozen=False)
+    offset = Declaration(0.0, "output", "constant offset added to the output", frozen=False)
     drift = left_out(
         "output",
-        "drift added to the output, which grows linearly with time up to this value at "
-        "the last sample",
+        "drift of the output at the last sample; the drift increases linearly with time",
     )
     previous_extremes = Declaration(
         0.0, "input", "turning points of the input before the run, in chronological order"
@@ -326,13 +428,13 @@ class JointSection(Section):
 
     correction: Literal["continuous", "printed", "none"] | None = key(
         '"continuous", "printed" or "none"',
-        "alpha and beta as functions of the absolute angle (continuous), as printed in the paper "
-        "with its erratum (printed), or zero (none)",
+        "torque corrections alpha and beta: functions of the absolute angle (continuous), as "
+        "printed in the paper, including its error (printed), or zero (none)",
         preset="continuous",
     )
     blend_deg: Annotated[float, Field(ge=0, le=30, allow_inf_nan=False)] | None = key(
         "a number from 0 to 30",
-        "half-width of the interval about 0 in which alpha and beta are blended",
+        "half-width of the interval of joint angles about 0 in which alpha and beta are blended",
         preset=0.0,
     )
 
@@ -376,7 +478,7 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
 def _joint_notes(content: RecordedRun, sidecar: bool) -> list[str]:
     section, notes = content.definition.section(JointSection), []
     if not section.contents():
-        notes.append("the sidecar has no [joint]: the default giajax geometry is used")
+        notes.append("the sidecar has no [joint]: the default geometry of giajax is used")
     if "torque" not in content.channels:
         torque = float(section.values().get(LOAD.torque.path, LOAD.torque.default))
         notes.append(f"the torque is not recorded: {torque:g} N m is assumed")
@@ -408,8 +510,8 @@ class _Law(Section):
 
     law: Literal["braided", "empirical", "piston"] | None = key(
         '"braided", "empirical" or "piston"',
-        "force law: a braided muscle (braided), a normalised curve for any length (empirical), or "
-        "a pneumatic cylinder (piston)",
+        "force law: a braided muscle (braided), a normalised curve for muscles of any length "
+        "(empirical), or a pneumatic cylinder (piston)",
         preset="braided",
     )
 
@@ -420,20 +522,20 @@ class MuscleSection(_Law):
 
     pressure: Literal["measured", "mean"] | None = key(
         '"measured" or "mean"',
-        "pressure at each sample (measured), or its mean, if the pressure was held constant and "
-        "friction disturbs the gauge (mean)",
+        "pressure used by the model: the value at each sample (measured), or the mean over the "
+        "run (mean) if the pressure was held constant but friction disturbs its measurement",
         preset="measured",
     )
     friction: Literal["coulomb", "none"] | None = key(
         '"coulomb" or "none"',
-        "friction, which differs in sign between filling and exhausting; requires the phase or "
-        "the time",
+        "friction force of the muscle, which changes its sign between filling and exhausting; "
+        "requires a recorded phase, or position and time",
         preset="none",
     )
     friction_pressures_kPa: Annotated[list[NotNegative], Field(min_length=1)] | None = key(  # noqa: N815
         "a list of increasing numbers",
-        "pressures at which the half-widths of friction are given; the half-width is linear in "
-        "between",
+        "pressures at which the half-width of the friction band is specified; values in between "
+        "are interpolated linearly",
         preset=[0.0],
     )
 
@@ -515,24 +617,24 @@ class HysteresisSection(Section):
         preset="prandtl_ishlinskii",
     )
     elements: Literal["play", "stop"] | None = key(
-        '"play" or "stop"', "elements of a Prandtl-Ishlinskii operator", preset="play"
+        '"play" or "stop"', "type of the elements of a Prandtl-Ishlinskii operator", preset="play"
     )
     thresholds: CountOrPositive | None = key(
         _EITHER,
-        "thresholds of the elements (SI), or their number: they are then spaced evenly up to half "
-        "of the input range",
+        "thresholds of the elements (SI), or the number of thresholds, which are then spaced "
+        "evenly up to half of the input range",
         preset=10,
     )
     upper_dead_zones: CountOrPositive | None = key(
         _EITHER,
-        "thresholds of the dead zones of the modified form above 0 (SI), or their number: they "
-        "are then densest near 0",
+        "positive thresholds of the dead zones of the modified operator (SI), or the number of "
+        "these thresholds, which are then densest near 0",
         preset=5,
     )
     lower_dead_zones: CountOrPositive | None = key(
         _EITHER,
-        "thresholds of the dead zones of the modified form below 0 (SI), as distances from 0, or "
-        "their number",
+        "negative thresholds of the dead zones of the modified operator (SI, as distances from "
+        "0), or the number of these thresholds",
         preset=5,
     )
     rows: Annotated[int, Field(ge=2, le=ELEMENTS)] | None = key(
@@ -540,7 +642,7 @@ class HysteresisSection(Section):
     )
     input_range: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = key(
         "a list of two numbers, the lower one first",
-        "input range (SI) that the operator covers (default: the range of the runs)",
+        "input range (SI) that the operator covers (default: the range of the inputs of the runs)",
         preset=[-1.0, 1.0],
     )
     previous_extremes: Count | Annotated[list[Finite], Field(min_length=1)] | None = key(

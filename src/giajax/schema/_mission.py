@@ -24,7 +24,9 @@ _JOINTS = Annotated[list[Count], Field(min_length=1, max_length=ELEMENTS)]
 class ApproachSection(Section):
     """`[mission.operator.approach]`: commanded angles from which the opening is in view."""
 
-    joints: _JOINTS = key("a list of joint numbers", "joints that bend", default=...)
+    joints: _JOINTS = key(
+        "a list of joint numbers", "joints that bend in the approach pose", default=...
+    )
     angles_deg: list[Finite] = key(
         "a list of numbers", "angles to which these joints bend", default=...
     )
@@ -43,15 +45,17 @@ class OperatorSection(Section):
     """`[mission.operator]`: the operator who drives the arm through the opening."""
 
     approach: ApproachSection = key(
-        "a table of keys", "pose that the joints take first", default=...
+        "a table of keys",
+        "pose to which the operator moves the arm first, with the opening in view",
+        default=...,
     )
     approach_rate_deg_per_s: Positive = key(
         POSITIVE,
-        "rate of the joint with the largest rotation, during the motion to the approach pose",
+        "rate of the joint with the largest rotation during the motion to the approach pose",
         default=1.0,
     )
     latency_s: NotNegative = key(
-        NOT_NEGATIVE, "total delay of the image and of the operator's hand", default=0.4
+        NOT_NEGATIVE, "total delay of the image and of the operator's reaction", default=0.4
     )
     speed_m_per_s: Positive = key(POSITIVE, "maximum speed of the tip", default=0.2)
     largest_rate_deg_per_s: Positive = key(POSITIVE, "maximum commanded joint rate", default=2.0)
@@ -67,7 +71,9 @@ class OperatorSection(Section):
         default=20.0,
     )
     pixel_px: Positive = key(
-        POSITIVE, "standard deviation of the observed position of a corner", default=1.0
+        POSITIVE,
+        "standard deviation of the observed image position of a corner of the opening",
+        default=1.0,
     )
 
 
@@ -81,7 +87,7 @@ class SteeringSection(Section):
         default=2.5,
     )
     air_m_per_s: Positive = key(
-        POSITIVE, "root mean square of the air velocity assumed by the controller", default=0.2
+        POSITIVE, "root mean square of the air velocity that the controller assumes", default=0.2
     )
 
 
@@ -103,7 +109,7 @@ class MissionSection(Section):
     """`[mission]`: the target, the time limit, and the operator."""
 
     opening: Name | None = key(
-        "the name of a wall", "wall with the opening that the tip passes through"
+        "the name of a wall", "wall with the opening through which the tip passes"
     )
     camera: Name | None = key("the name of a camera", "camera at the tip that the operator uses")
     beyond_m: Positive = key(
@@ -120,14 +126,14 @@ class MissionSection(Section):
         "a table of keys", "settings of `--controller mpc`", default=SteeringSection()
     )
     camera_stops_s: NotNegative | None = key(
-        NOT_NEGATIVE, "time after which the camera gives no images"
+        NOT_NEGATIVE, "time after which the camera provides no images"
     )
     wind: MissionWindSection = key(
-        "a table of keys", "motion of the air", default=MissionWindSection()
+        "a table of keys", "wind during the mission", default=MissionWindSection()
     )
     spread: dict[str, NotNegative] | None = key(
         "a table of parameter paths and numbers",
-        "standard deviations of the logarithms of parameters between cases",
+        "standard deviations of the logarithms of the parameters that vary between cases",
     )
 
     @field_validator("spread", mode="before")
@@ -165,7 +171,7 @@ class PadButton(Section):
     """An entry of `[[pad.buttons]]`: a button, and its function."""
 
     button: _Index = key("a whole number from 0 to 255", "number of the button", default=...)
-    preset: Name | None = key("the name of a preset", "preset to which the arm moves")
+    preset: Name | None = key("the name of a preset", "preset to which the button moves the arm")
     stop: bool | None = key("true or false", "true: stop all joints and hold the current command")
     dead_man: bool | None = key(
         "true or false", "true: joints move only while this button is pressed"
@@ -190,13 +196,13 @@ class PadSection(Section):
 
     dead_zone: Annotated[float, Field(ge=0, lt=1)] = key(
         "a number of at least 0 and below 1",
-        "deflection below which the stick has no effect",
+        "relative deflection below which the stick has no effect",
         default=0.12,
     )
     exponent: Positive = key(
         POSITIVE,
-        "exponent of the rate as a function of the deflection; 1: proportional; 2: finer control "
-        "near the centre",
+        "exponent of the joint rate as a function of the deflection; 1: proportional; 2: finer "
+        "control near the centre",
         default=2.0,
     )
     largest_rate_deg_per_s: Positive = key(
@@ -207,7 +213,9 @@ class PadSection(Section):
         POSITIVE, "time without a message from the page after which all joints stop", default=0.5
     )
     smoothing_s: NotNegative = key(
-        NOT_NEGATIVE, "time constant with which a rate follows the stick", default=0.1
+        NOT_NEGATIVE,
+        "time constant with which the commanded joint rate follows the stick",
+        default=0.1,
     )
     axes: list[PadAxis] | None = key(
         "a list of tables", "axes of the sticks and the joints that they move"

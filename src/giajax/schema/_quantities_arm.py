@@ -28,22 +28,30 @@ class _Links(Group):
     diameter = positive(
         _DIAMETER, "m", "aerodynamic diameter of a link", per="link", source=_TABLE
     ).keyed("link_diameter_m", closed=True)
-    mass = positive(_MASS, "kg", "mass that moves with a link", per="link", source=_TABLE).keyed(
-        "link_mass_kg"
-    )
+    mass = positive(
+        _MASS,
+        "kg",
+        "mass of a link, without the gas, trim weight and point masses",
+        per="link",
+        source=_TABLE,
+    ).keyed("link_mass_kg")
     inertia_transverse = guess(
         _TRANSVERSE,
         "kg m^2",
-        "moment of inertia about a transverse axis through the centre of mass (thin tube)",
+        "moment of inertia of a link about a transverse axis through its centre of mass "
+        "(default: thin tube)",
         per="link",
     ).keyed("link_inertia_transverse_kg_m2", closed=True)
     inertia_axial = guess(
-        _AXIAL, "kg m^2", "moment of inertia about the link's own axis (thin tube)", per="link"
+        _AXIAL,
+        "kg m^2",
+        "moment of inertia of a link about its own axis (default: thin tube)",
+        per="link",
     ).keyed("link_inertia_axial_kg_m2", closed=True)
     centre_of_mass = Declaration(
         _LENGTH / 2,
         "m",
-        "distance of a link's centre of mass from its joint, along the link",
+        "distance from the joint of a link to its centre of mass, along the link",
         per="link",
     ).keyed("link_centre_of_mass_m")
     fullness = guess(
@@ -71,7 +79,7 @@ class _Base(Group):
     ).keyed("base_rotation_deg")
     # A small negative value is legal in files, because a fit of a balanced arm can end there.
     gravity = Declaration(
-        0.0, "m/s^2", "acceleration of gravity along -z; 0 where buoyancy balances weight"
+        0.0, "m/s^2", "gravitational acceleration along -z; 0 if buoyancy balances weight"
     ).keyed("gravity_m_per_s2", lower=-1, closed=True, remark=" (it acts along -z)")
 
 
@@ -80,14 +88,16 @@ class _PointMasses(Group):
     position = Declaration(
         _LENGTH, "m", "distance of a point mass from its link's joint, along the link", **EACH_BODY
     ).keyed("position_m")
-    left = left_out(
-        "m", "distance of a point mass to the left of its link's axis", **EACH_BODY
-    ).keyed("left_m")
-    up = left_out("m", "distance of a point mass above its link's axis", **EACH_BODY).keyed("up_m")
+    left = left_out("m", "leftward offset of a point mass from its link's axis", **EACH_BODY).keyed(
+        "left_m"
+    )
+    up = left_out("m", "upward offset of a point mass from its link's axis", **EACH_BODY).keyed(
+        "up_m"
+    )
     drag_area = positive(
         1e-3,
         "m^2",
-        "C_D A of a point mass: its drag coefficient times its frontal area",
+        "drag area C_D A of a point mass: its drag coefficient times its frontal area",
         optional=True,
         **EACH_BODY,
     ).keyed("drag_area_m2", closed=True)
@@ -105,28 +115,29 @@ class _Air(Group):
     drag_coefficient = freed_guess(
         1.2,
         "",
-        "drag coefficient C_D of eq. (1), referred to length times diameter",
+        "drag coefficient C_D of eq. (1); its reference area is length times diameter of a link",
         upper=50,
         source="eq. (1)",
     )
     axial_coefficient = guess(
         0.02,
         "",
-        "coefficient of the drag along a link, referred to length times diameter (strip drag)",
+        "coefficient of the strip drag along a link; its reference area is length times diameter "
+        "of the link",
         upper=50,
         optional=True,
     )
     added_mass_coefficient = positive(
         1.0,
         "",
-        "transverse added mass of a link relative to the displaced mass of air (1 for a long "
-        "cylinder)",
+        "ratio of the transverse added mass of a link to the mass of the displaced air (1 for a "
+        "long cylinder)",
         upper=10,
         optional=True,
     )
     wind = left_out(
         "m/s",
-        "constant velocity of the air in the base frame, added to the wind of the run",
+        "constant wind velocity in the base frame, added to the wind of the run",
         shape=(3,),
     )
     viscosity = positive(1.516e-5, "m^2/s", "kinematic viscosity of the air (20 C, 1 atm)")
@@ -145,7 +156,7 @@ class _Buoyancy(Group):
     trim_depth = Declaration(
         0.15,
         "m",
-        "distance of the trim weight below the link's axis, in the straight arm",
+        "depth of the trim weight below the link's axis when the arm is straight",
         optional=True,
         **EACH_LINK,
     )
@@ -180,7 +191,7 @@ class _Joints(Group):
     drive_gain = positive(
         1.0,
         "",
-        "ratio of the angle that a joint's drive holds to the commanded angle",
+        "ratio of the angle held by a joint's drive to the commanded angle",
         upper=10,
         optional=True,
         neutral=1.0,
@@ -189,7 +200,8 @@ class _Joints(Group):
     stiffness_factor = positive(
         1.0,
         "",
-        "ratio of the stiffness of a joint to the stiffness of its kind (pitch or yaw)",
+        "ratio of the stiffness of a joint to the common stiffness of all joints of its kind "
+        "(pitch or yaw)",
         upper=100,
         optional=True,
         neutral=1.0,
@@ -205,19 +217,22 @@ class _Joints(Group):
         0.1, "N m", "Coulomb friction torque of a joint", upper=1e3, optional=True, **EACH_JOINT
     )
     friction_rate = guess(
-        0.05, "rad/s", "joint rate at which Coulomb friction reaches tanh(1) = 76 % of its value"
+        0.05,
+        "rad/s",
+        "joint rate at which the friction torque reaches tanh(1) = 76 % of the Coulomb "
+        "friction torque",
     )
     armature = positive(
         1e-3,
         "kg m^2",
-        "inertia of a joint's drive, reflected to the joint",
+        "moment of inertia of a joint's drive, reflected to the joint",
         optional=True,
         **EACH_JOINT,
     )
     drive_lag = positive(
         0.1,
         "s",
-        "first-order time constant with which a joint's drive follows its command",
+        "time constant of the first-order lag of a joint's drive behind its command",
         upper=10,
         optional=True,
         **EACH_JOINT,
@@ -225,7 +240,8 @@ class _Joints(Group):
     drive_saturation = positive(
         0.1,
         "1/rad^2",
-        "saturation of the drives: for a commanded angle u they reach u / sqrt(1 + saturation u^2)",
+        "saturation coefficient s of a joint's drive, which reaches u / sqrt(1 + s u^2) for a "
+        "commanded angle u",
         upper=100,
         optional=True,
         **EACH_JOINT,
@@ -245,24 +261,31 @@ class _Memory(Group):
     yield_angle = Declaration(
         0.005,
         "rad",
-        "maximum hysteretic torque of a joint divided by the initial stiffness of the hysteresis",
+        "yield angle of the hysteresis of a joint: maximum hysteretic torque divided by initial "
+        "stiffness",
         lower=1e-6,
         upper=10,
         assumed=True,
         **EACH_JOINT,
     )
-    nu = Declaration(1.0, "", "sharpness of the knee of the hysteresis loop", lower=1, upper=20)
+    nu = Declaration(
+        1.0,
+        "",
+        "exponent that determines the sharpness of the knee of the hysteresis loop",
+        lower=1,
+        upper=20,
+    )
     delta = Declaration(
         0.0,
         "",
-        "shape of the hysteresis loop; 0: Dahl friction; 1/2: elastic unloading",
+        "shape coefficient of the hysteresis loop; 0: Dahl friction; 1/2: elastic unloading",
         lower=-1,
         upper=0.5,
     )
     initial = left_out(
         "",
-        "initial hysteretic torque of a joint, opposite to the joint angle, relative to the "
-        "maximum",
+        "ratio of the initial hysteretic torque of a joint to its maximum; positive if the "
+        "torque acts towards negative joint angles",
         lower=-1,
         upper=1,
         **EACH_JOINT,
@@ -317,12 +340,12 @@ class _Contact(Group):
     shape_factor = positive(
         np.pi,
         "",
-        "contact force of a flattened link divided by the product of pressure, length and "
-        "penetration: pi between two plates, and 4 pi / 3 on one wall if only the weight of the "
-        "skin is the reaction",
+        "ratio of the contact force of a flattened link to the product of pressure, length and "
+        "penetration: pi between two plates, and 4 pi / 3 at one wall if the only reaction is "
+        "the weight of the skin",
     ).keyed("contact_shape_factor")
     damping = guess(
-        0.5, "s/m", "relative increase of the contact force per unit of closing speed"
+        0.5, "s/m", "relative increase in the contact force per unit of closing speed"
     ).keyed("contact_damping_s_per_m", closed=True)
     friction = guess(
         0.3,
@@ -332,7 +355,7 @@ class _Contact(Group):
         has_states=True,
     ).keyed("contact_friction")
     friction_stiffness = guess(
-        300.0, "N/m", "stiffness of a link's skin along a surface to which it sticks"
+        300.0, "N/m", "tangential stiffness of a link's skin while it sticks to a surface"
     ).keyed("contact_friction_stiffness_N_per_m")
 
 
@@ -355,8 +378,8 @@ def delay(key: str, doc: str) -> Declaration:
 def clock_rate(key: str) -> Declaration:
     """Declare the rate error of a clock, which may be slow (positive) or fast."""
     doc = (
-        "relative excess of the true time since the first sample over the time according to the "
-        "time stamps"
+        "relative error of the clock rate: true time since the first sample divided by the time "
+        "according to the time stamps, minus 1"
     )
     return left_out("", doc, lower=-0.05, upper=0.05).keyed(key, closed=True, example=0.001)
 
@@ -377,41 +400,45 @@ class _Camera(Group):
     clock_rate = clock_rate("camera_clock_rate")
     lens_k1 = left_out(
         "",
-        "relative radial distortion at a distance of half the arm's length from the middle of the "
-        "straight arm; it is proportional to the square of the distance",
+        "relative radial distortion at a distance of half the arm's length from the middle of "
+        "the straight arm; the distortion is proportional to the square of this distance",
         lower=-1,
         upper=1,
     ).keyed("camera_lens_k1", closed=True, example=-0.05)
     lens_k2 = left_out(
-        "", "as lens_k1, but proportional to the fourth power of the distance", lower=-1, upper=1
+        "",
+        "relative radial distortion as for lens_k1, but proportional to the fourth power "
+        "of the distance",
+        lower=-1,
+        upper=1,
     ).keyed("camera_lens_k2", closed=True, example=0.01)
 
 
 class _Marker(Group):
     along = left_out(
-        "m", "distance of a link's marker from its centre, along the link", **EACH_LINK
+        "m", "offset of a link's marker from the centre of the link, along the link", **EACH_LINK
     ).keyed("marker_along_m")
     left = left_out(
-        "m", "distance of a link's marker to the left of its centre", **EACH_LINK
+        "m", "leftward offset of a link's marker from the centre of the link", **EACH_LINK
     ).keyed("marker_left_m")
-    up = left_out("m", "distance of a link's marker above its centre", **EACH_LINK).keyed(
-        "marker_up_m", example=0.15
-    )
+    up = left_out(
+        "m", "upward offset of a link's marker from the centre of the link", **EACH_LINK
+    ).keyed("marker_up_m", example=0.15)
     tip = left_out(
         "m",
-        "offset of the tip's marker from the end of the last link (along, left, up)",
+        "offset of the tip marker from the end of the last link (along, left, up)",
         shape=(3,),
     ).keyed("marker_tip_m")
 
 
 class _Encoder(Group):
-    offset = left_out("rad", "reading of a joint's angle sensor at zero angle", **EACH_JOINT).keyed(
-        "encoder_offset_deg"
-    )
+    offset = left_out(
+        "rad", "reading of a joint's angle sensor at a joint angle of 0", **EACH_JOINT
+    ).keyed("encoder_offset_deg")
     scale = positive(
         1.0,
         "",
-        "ratio of measured to true changes of a joint angle",
+        "ratio of measured to true changes in a joint angle",
         optional=True,
         neutral=1.0,
         **EACH_JOINT,
@@ -419,7 +446,9 @@ class _Encoder(Group):
     delay = delay("encoder_delay_s", "time by which the time stamp of a joint angle is late")
     clock_rate = clock_rate("encoder_clock_rate")
     rate_offset = left_out(
-        "rad/s", "reading of a joint's rate sensor, such as a gyroscope, at rest", **EACH_JOINT
+        "rad/s",
+        "reading of a joint's rate sensor, such as a gyroscope, at a joint rate of 0",
+        **EACH_JOINT,
     ).keyed("encoder_rate_offset_deg_per_s")
 
 
@@ -453,7 +482,7 @@ class _Pinhole(Group):
     aspect = positive(
         1.0,
         "",
-        "ratio of width to height of a pixel",
+        "ratio of the width to the height of a pixel",
         upper=1e3,
         optional=True,
         neutral=1.0,
@@ -474,8 +503,8 @@ class _Pinhole(Group):
     ).keyed("distortion", example=[-0.2, 0.05, 0.0, 0.0, 0.0])
     delay = delay(
         "delay_s",
-        "time by which the time stamps of this camera are late, in addition to the delay of all "
-        "cameras",
+        "time by which the time stamps of this camera are late, in addition to the common delay "
+        "of all cameras",
     )
 
 
@@ -508,13 +537,16 @@ class _Gas(Group):
 
 class _Skin(Group):
     stiffness = guess(
-        1e4, "N/m", "modulus times thickness of the skin (polyethylene with 200 MPa and 50 um)"
+        1e4,
+        "N/m",
+        "membrane stiffness of the skin: Young's modulus times thickness (polyethylene, "
+        "200 MPa times 50 um)",
     ).keyed("skin_stiffness_N_per_m")
     poisson_ratio = Declaration(
         0.45, "", "Poisson's ratio of the skin", lower=-1, upper=0.5, assumed=True
     ).keyed("skin_poisson_ratio")
     slack = guess(
-        1e-3, "", "fraction of its volume over which a bag changes from limp to taut", upper=0.1
+        1e-3, "", "relative change in volume over which a bag changes from limp to taut", upper=0.1
     ).keyed("skin_slack")
 
 
@@ -524,7 +556,9 @@ class _Neck(Group):
     )
     length = guess(0.02, "m", "length of the film that bends in the neck")
     film_stiffness = guess(
-        _Skin.stiffness.default, "N/m", "modulus times thickness of the film of the neck"
+        _Skin.stiffness.default,
+        "N/m",
+        "membrane stiffness of the film of the neck: Young's modulus times thickness",
     )
     # The default is the pressure of the links, because gas passes between links and neck.
     pressure = guess(_Links.pressure.default, "Pa", "gauge pressure of the gas in the neck")
@@ -546,14 +580,14 @@ class _Supply(Group):
     flow = positive(
         61e-3 / 60,
         "m^3/s",
-        "volume flow through a flow meter, at ambient pressure",
+        "volume flow rate through a flow meter, at ambient pressure",
         source="IV.B: 1.40 m^3 in 23 min",
     ).keyed("supply_flow_l_per_min")
     pressure = guess(2e5, "Pa", "gauge pressure that a regulator holds").keyed(
         "supply_pressure_bar"
     )
-    bottle_volume = guess(0.01, "m^3", "volume of a bottle").keyed("bottle_volume_l")
-    bottle_pressure = guess(200e5, "Pa", "gauge pressure of a full bottle").keyed(
+    bottle_volume = guess(0.01, "m^3", "volume of a gas bottle").keyed("bottle_volume_l")
+    bottle_pressure = guess(200e5, "Pa", "gauge pressure in a full gas bottle").keyed(
         "bottle_pressure_bar"
     )
     nozzle_diameter = guess(
@@ -568,14 +602,16 @@ class _Supply(Group):
 
 
 class _Roll(Group):
-    radius = guess(0.1, "m", "radius of the roll when the whole arm is wound on it").keyed(
+    radius = guess(0.1, "m", "outer radius of the roll when the whole arm is wound up").keyed(
         "roll_radius_mm"
     )
-    core_radius = guess(0.05, "m", "radius of the core that the arm is wound on").keyed(
+    core_radius = guess(0.05, "m", "radius of the core on which the arm is wound").keyed(
         "core_radius_mm"
     )
-    core_mass = guess(0.1, "kg", "mass of the core, a thin tube").keyed("core_mass_kg")
-    start = guess(0.1, "m", "initial unrolled length").keyed("start_length_m")
+    core_mass = guess(0.1, "kg", "mass of the core of the roll, which is a thin tube").keyed(
+        "core_mass_kg"
+    )
+    start = guess(0.1, "m", "initial unrolled length of the arm").keyed("start_length_m")
     start_speed = positive(0.0, "m/s", "initial speed of the roll", assumed=True).keyed(
         "start_speed_m_per_s", closed=True
     )
@@ -586,8 +622,8 @@ class _Film(Group):
     creep = Declaration(
         1.0,
         "",
-        "fraction of its curvature in the roll that the film keeps: 0 for elastic film, which "
-        "drives the roll; 1 for fully crept film, which must be straightened",
+        "fraction of its curvature in the roll that the film retains when it is unrolled: 0 for "
+        "elastic film, which drives the roll; 1 for fully crept film, which must be straightened",
         lower=0,
         upper=1,
         assumed=True,
@@ -596,7 +632,10 @@ class _Film(Group):
         "peel_force_N", closed=True
     )
     loss = guess(
-        10.0, "N s/m", "force that opposes the motion of the roll, divided by the speed of the roll"
+        10.0,
+        "N s/m",
+        "coefficient of viscous resistance to the roll: opposing force divided by the "
+        "speed of the roll",
     ).keyed("front_loss_N_s_per_m", closed=True)
 
 

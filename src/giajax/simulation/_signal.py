@@ -456,7 +456,7 @@ def _check_strength(pneumatics: Pneumatics, commanded: np.ndarray) -> None:
         if weak.size:
             raise InputError(
                 "no pressures can hold a joint at the commanded angle of "
-                f"{np.rad2deg(angles[weak[0]]):.4g} deg: {answer.message(int(weak[0]))}"
+                f"{np.rad2deg(angles[weak[0]]):.4g} deg, because {answer.message(int(weak[0]))}"
             )
 
 

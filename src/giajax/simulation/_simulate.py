@@ -481,7 +481,8 @@ def _check_steps(controller: Any, times: Array) -> None:
         ends = [[float(each[0]), float(each[-1])] for each in (controller.ts, times)]
         if ends[0] != ends[1]:
             raise InputError(
-                f"StepTo covers {ends[0]} s, but the times cover {ends[1]} s: make the two the same"
+                f"StepTo covers {ends[0]} s, but the times cover {ends[1]} s: make the two "
+                "intervals equal"
             )
 
 

@@ -464,7 +464,7 @@ def bootstrap(
         raise InputError(f"the seed is {seed}: give 0 or a positive number")
     if whole and result.config.get("priors"):
         raise InputError(
-            "a fit with priors cannot be repeated whole, because the prior values are not "
+            "a fit with priors cannot be repeated as a whole, because the prior values are not "
             "resampled: omit whole=True (--whole), or fit without priors (--no-nuisances)"
         )
     optimum = fitted.optimum()

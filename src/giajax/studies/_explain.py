@@ -491,7 +491,7 @@ class _Told:
         reduced = step.chi_square / max(step.values - step.parameters, 1)
         left = time_in_words(taken * max(self.most - done, 0))
         more = (
-            f"; at most about {left} remaining, or less if no suspect is significant"
+            f"; about {left} remaining, or less if no further suspect is significant"
             if done
             else ""
         )

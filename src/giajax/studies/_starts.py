@@ -348,7 +348,7 @@ def earlier_starts(
             )
     if len(whole) > len(values):
         raise InputError(
-            f"the result to which starts are added already has {len(whole)} starts: give a larger "
-            "number"
+            f"the result to which starts are added already has {len(whole)} starts: give a total "
+            f"of at least {len(whole)}"
         )
     return whole

@@ -367,7 +367,7 @@ def outliers_row(
     share, by_chance = len(away) / rest.values, pdtrc(len(away) - 1, _BY_CHANCE * rest.values)
     sizes = np.array([share]), np.array([share / np.sqrt(len(away))])
     found = Score(*sizes, float(np.sum(away**2)), float(by_chance))
-    note = "fraction of cells that differ from both neighbours: fit with --loss student_t"
+    note = "fraction of cells that deviate from both neighbours: fit with --loss student_t"
     row = _amount_row("outliers", "outliers", found, note)
     return [dataclasses.replace(row, degrees_of_freedom=len(away))]
 

@@ -113,7 +113,7 @@ class Preparation:
         """
         if self.setup.settings.optimiser is not None:
             raise InputError(
-                f"a fit by {self.setup.config['optimiser']} has no steps to record, so it cannot "
+                f"a fit with {self.setup.config['optimiser']} has no steps to record, so it cannot "
                 "be resumed: omit the journal, or change the optimiser"
             )
         with locked(folder):

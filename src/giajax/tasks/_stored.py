@@ -35,14 +35,14 @@ def repeatable(path: str | Path) -> tuple[Path, dict[str, Any]]:
     folder, record = stored_result(path)
     if optimiser := record["config"].get("optimiser"):
         raise InputError(
-            f"{folder / 'result.json'} was fitted by {optimiser}, which cannot be described in a "
-            "file: fit it again from Python"
+            f"{folder / 'result.json'} is from a fit with {optimiser}, which cannot be described "
+            "in a file: repeat the fit from Python"
         )
     if not record.get("task"):
         raise InputError(
-            f"{folder / 'result.json'} does not describe how to repeat the fit, because an earlier "
-            "version wrote it, it combines several fits, or it was fitted from Python without a "
-            "task: fit the data again, or use the result as a warm start with --from"
+            f"{folder / 'result.json'} does not describe how to repeat the fit, because it "
+            "was written by an earlier version, combines several fits, or is from a fit in Python "
+            "without a task: fit the data again, or use the result as a warm start with --from"
         )
     timed = record["status"] == "not_converged" and "budget_s" in record["config"]
     if record["status"] == "interrupted" or timed:
@@ -110,7 +110,7 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     if not moved:
         return "the estimates are identical bit for bit, but quantities derived from them differ"
     by, path = max(moved)
-    return f"the numbers are not the same: the relative difference of {path} is {by:.1e}"
+    return f"the numbers are not the same: the relative difference in {path} is {by:.1e}"
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:

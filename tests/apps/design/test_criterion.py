@@ -229,7 +229,7 @@ def test_a_search_that_is_stopped_has_the_best_so_far():
         ({"joints": ()}, "no joint is given"),
         ({"joints": (1, 1)}, "given twice"),
         ({"duration": 0.25}, "does not give a whole number"),
-        ({"duration": 1e9}, "rows: shorten"),
+        ({"duration": 1e9}, "rows, but may have at most 100000: shorten"),
     ],
 )
 def test_limits_that_make_no_sense_are_one_sentence(change, words):

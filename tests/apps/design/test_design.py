@@ -279,7 +279,7 @@ def test_a_free_first_state_is_a_nuisance():
             ["--parameter", DRAG, "--markers", "9"],
             "9 markers are requested: give a number from 1 to 2",
         ),
-        (["--parameter", DRAG, "--knots", "1"], "a number from 2 to"),
+        (["--parameter", DRAG, "--knots", "1"], "a number of knots from 2 to"),
         (["--parameter", DRAG, "--criterion", "E"], "'E' is not a criterion"),
         (
             ["--parameter", DRAG, "--parameter", STIFFNESS, "--criterion", "c"],

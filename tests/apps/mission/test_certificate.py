@@ -183,7 +183,8 @@ def test_where_all_or_none_succeed_there_is_still_an_interval(reached):
 def test_few_missions_are_no_certificate():
     with pytest.raises(
         InputError,
-        match="only 12 of 12 missions could be simulated at rest, but a probability needs 20",
+        match="only 12 of 12 missions could be simulated at rest, but a probability needs at "
+        "least 20",
     ):
         chance_of(drawn(1, seed=5)[0], drawn(12, seed=1))
 
@@ -206,7 +207,7 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     given = [*words, "--speeds", "0.1,0.9", "--controller", "mpc", "--seed", "3"]
     assert main([*given, "--out", "chance"]) == 0
     said = capsys.readouterr().out
-    assert "of the 2 missions with the most similar motion at rest (of 24) are successful" in said
+    assert "of the 2 missions (of 24) whose motion at rest is most similar are successful" in said
     assert "probability of success within 40 s: " in said
     facts = json.loads(Path("chance/certificate.json").read_text())
     assert facts["interval"][0] < facts["chance"] < facts["interval"][1]

@@ -163,5 +163,5 @@ def test_gusts_come_later_along_the_mean_flow():
     assert np.abs(second - first).max() > 0.1
     with pytest.raises(InputError, match=r"the positions for the gusts have the shape \(3,\)"):
         gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=[0, 0, 0])
-    with pytest.raises(InputError, match="the decay of gusts is -1"):
+    with pytest.raises(InputError, match="the decay coefficient of the gust coherence is -1"):
         gusts([0, 1, 0], intensity=0.1, length_scale=1, duration=1, places=places, decay=-1)

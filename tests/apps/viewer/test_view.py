@@ -304,7 +304,10 @@ def test_markers_are_where_a_camera_sees_them(show, page):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing.csv"], "nothing.csv does not exist: give a run, the folder of a fit, or an arm"),
+        (
+            ["nothing.csv"],
+            "nothing.csv does not exist: give a run, the folder of a fit, or the TOML",
+        ),
         (["arm.toml", "arm.toml"], "the TOML file of an arm contains no motion, so it must be"),
         (["arm.toml", "--page", "page.html"], "page.html exists"),
         (["arm.toml", "--port", "70000", "--no-browser"], "the port is 70000"),

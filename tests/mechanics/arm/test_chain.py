@@ -58,7 +58,7 @@ def test_numbers_may_be_given_for_all_links_or_for_each():
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"links": 0}, "an arm of 0 links cannot be built: give at least 1"),
+        ({"links": 0}, "an arm of 0 links cannot be built: give at least one link"),
         ({"mass": [0.1, 0.2]}, "mass has 2 values for 3 links: give one number, or 3"),
         ({"length": -1.0}, "length is out of bounds: give finite numbers greater than 0 m"),
         ({"mass": 0.0}, "mass is out of bounds: give finite numbers greater than 0 kg"),

@@ -462,7 +462,11 @@ class Astray(Memory):
         (Counted(), "Counted.rows is a field: make it a constant of the class"),
         (Backwards(), "Backwards.rows is -1: give the number of states"),
         (Broken(), r"Broken.rate fails \(AttributeError: .*no attribute 'speeds'"),
-        (Stiffer(), "Stiffer.slopes does not match the decrease of the torque with the angles at"),
+        (
+            Stiffer(),
+            "Stiffer.slopes does not match the negative derivative of the torque with respect to "
+            "the angles at",
+        ),
         (Cooler(), "Cooler.dissipation does not match the loss from torque and energy at"),
         (
             Misled(),

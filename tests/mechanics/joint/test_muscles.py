@@ -159,7 +159,10 @@ def test_a_muscle_that_pulls_more_than_asked_without_pressure_says_so(muscle, fo
     answer = muscle_pressure(muscle, force, contraction)
     assert int(answer.code) == 4
     assert not bool(answer.reached)
-    assert "the force of the muscle is larger even at zero pressure" in answer.message()
+    assert (
+        "the force of the muscle exceeds the required force even at zero pressure"
+        in answer.message()
+    )
     least = float(answer.force)
     assert float(answer.pressure) == 0
     assert least == float(muscle_force(muscle, 0.0, contraction)) > 2 * force - 1e-9

@@ -73,7 +73,8 @@ class Limits:
         rows = self.duration * self.sampling
         if rows > _MOST_ROWS:
             raise InputError(
-                f"the experiment has {rows:g} rows: shorten it, or reduce the sampling rate"
+                f"the experiment has {rows:g} rows, but may have at most {_MOST_ROWS}: shorten it, "
+                "or reduce the sampling rate"
             )
         if self.rows < 2 or abs(rows - self.rows) > 1e-6 * rows:
             raise InputError(
@@ -126,7 +127,7 @@ class CommandSeries:
         if not 2 <= knots <= limits.rows:
             raise InputError(
                 f"the command has {knots} knots, but the experiment has {limits.rows} intervals: "
-                f"give a number from 2 to {limits.rows}"
+                f"give a number of knots from 2 to {limits.rows}"
             )
         rows = np.round(np.arange(knots + 1) * limits.rows / knots)
         return cls(limits, rows / limits.sampling)

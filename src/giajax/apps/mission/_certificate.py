@@ -341,7 +341,7 @@ def certificate(
     if np.sum(sound) < FEWEST_CASES:
         raise InputError(
             f"only {np.sum(sound)} of {len(rested)} missions could be simulated at rest, but a "
-            f"probability needs {FEWEST_CASES}: increase --cases"
+            f"probability needs at least {FEWEST_CASES}: increase --cases"
         )
     features = features[sound]
     cases = tuple(each.case for each, used in zip(rested, sound, strict=True) if used)

@@ -284,7 +284,7 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     stops = mission.section.camera_stops_s
     fails = reached is None and sound.all()
     if fails and not mission.enters:
-        reason = "the mission was to hold the tip in front of the opening"
+        reason = "the mission was only to hold the tip in front of the opening"
     elif fails and stops is not None and not np.any(table.inside[table.time <= stops] > 0):
         reason = "the camera stopped before the tip was inside"
     return Outcome(

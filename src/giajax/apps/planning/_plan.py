@@ -171,7 +171,8 @@ def plan_command(
     first = np.zeros(arm.count) if begin is None else np.asarray(begin, dtype=float)
     if first.shape != (arm.count,):
         raise InputError(
-            f"the initial pose has {first.size} angles, but the arm has {arm.count} joints"
+            f"the initial pose has {first.size} angles, but the arm has {arm.count} joints: give "
+            "one angle for each joint"
         )
     ways = target.commands(arm, first, limits)
     route = np.concatenate([first[None], ways])
@@ -314,19 +315,20 @@ def _doubts(row: Planned, limits: CommandLimits, near: float, remembers: bool) -
             else "allow the command more time, or more knots"
         )
         notes.append(
-            "during three of the longest periods after the command, the tip is up to "
-            f"{row.missed:.3g} m from the target, but only {near:.3g} m are allowed: {why}"
+            "during three periods of the slowest mode after the end of the command, the tip is up "
+            f"to {row.missed:.3g} m from the target, but only {near:.3g} m are allowed: {why}"
         )
     if row.clearance is None or row.closest is None:
         return notes
     if row.clearance < 0:
         raise InputError(
-            "a link touches an obstacle between the planned times: plan with more clearance"
+            "a link touches an obstacle between the planned times: plan with a larger clearance"
         )
     for gap, whose in ((row.clearance, ""), (row.closest, " in one of the draws")):
         if gap < limits.clearance:
             notes.append(
-                f"a link{whose} comes within {gap:.3g} m of an obstacle: plan with more clearance"
+                f"a link{whose} comes within {gap:.3g} m of an obstacle: plan with a larger "
+                "clearance"
             )
             break
     return notes

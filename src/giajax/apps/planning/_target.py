@@ -103,7 +103,8 @@ class Pose(AbstractTarget):
         angles = np.asarray(self.angles, dtype=float)
         if angles.shape != begin.shape:
             raise InputError(
-                f"the pose has {angles.size} angles, but the arm has {arm.count} joints"
+                f"the pose has {angles.size} angles, but the arm has {arm.count} joints: "
+                "give one angle for each joint"
             )
         return angles[None]
 

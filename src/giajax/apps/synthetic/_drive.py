@@ -76,8 +76,8 @@ def joint_moves(moves: Sequence[Move], *, joints: int, end: float) -> Drive:
     steps = [move for move in moves if move.duration == 0]
     if steps and len(steps) < len(moves):
         raise InputError(
-            "steps and ramps are mixed, but all commands of a run use the same interpolation: "
-            "give only steps, or only ramps (a short ramp is almost a step)"
+            "steps and ramps are mixed, but all commands of a run must use the same "
+            "interpolation: give only steps, or only ramps (a short ramp is almost a step)"
         )
     by_joint: dict[int, list[Move]] = {}
     for move in sorted(moves):

@@ -214,7 +214,10 @@ def gusts(
                 "each link in m"
             )
         if not 0 <= decay < np.inf:
-            raise InputError(f"the decay of gusts is {decay:g}: give a number of at least 0")
+            raise InputError(
+                f"the decay coefficient of the gust coherence is {decay:g}: give a number of "
+                "at least 0"
+            )
     count = 1 if where is None else len(where)
     velocity = np.tile(mean, (len(times), count, 1))
     deviations = speed * np.broadcast_to(parts, 3)

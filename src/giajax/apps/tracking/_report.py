@@ -310,8 +310,8 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     if found.now is not None:
         known = float(np.sqrt(np.mean(np.sum(found.now.tip_deviations**2, axis=1))))
         notes.append(
-            f"measurements arrive {found.now_times[0] - found.times[0]:.2g} s late; at this time, "
-            f"the position of the tip is known to within {known:.2g} m"
+            f"measurements arrive {found.now_times[0] - found.times[0]:.2g} s late; when they "
+            f"arrive, the position of the tip is known to within {known:.2g} m"
         )
     return notes
 

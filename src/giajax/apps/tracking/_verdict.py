@@ -209,7 +209,7 @@ def judge(
                     Cause(
                         path,
                         gain,
-                        f"{path} is about {nominal + at:.2f} s, but given as {nominal:.2f} s: "
+                        f"{path} is about {nominal + at:.2f} s, but is given as {nominal:.2f} s: "
                         "correct or fit it",
                         nominal + at,
                         deviation,

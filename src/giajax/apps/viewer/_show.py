@@ -256,7 +256,8 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
             f"the motion of '{run.name}' is not finite: check the parameters of the model"
         )
     unknown = (
-        "recorded markers are not shown, because their camera has other axes than the model",
+        "recorded markers are not shown, because the axes of their camera differ from those "
+        "of the model",
     )
     return Show(name, scene, recorded or {}, unknown if recorded is None else ())
 

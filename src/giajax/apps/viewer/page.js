@@ -121,7 +121,7 @@ const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
 let canvas = null, choice = null, drawn = "";
 if (about.plots.length) {
   const figure = element("figure", {}, aside);
-  choice = element("select", { ariaLabel: "quantity over time" }, figure);
+  choice = element("select", { ariaLabel: "quantity plotted versus time" }, figure);
   about.plots.forEach((plot) => element("option", { textContent: plot.title }, choice));
   canvas = element("canvas", { role: "img" }, figure);
   choice.onchange = () => { drawn = ""; draw(); };

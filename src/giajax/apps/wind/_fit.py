@@ -130,7 +130,7 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
         notes.append(
             f"the spectra are {found.misfit[0]:.2f} times their expected value, significantly "
             f"{much} than 1: the arm, the noise or the wind differs from the model, and the "
-            "standard errors do not include this"
+            "standard errors do not include this difference"
         )
     if expects.use_mean:
         off = np.abs(found.means[0] - found.means[1]) / found.means[2]
@@ -148,8 +148,8 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     gusts = expects.lasts * found.wind.speed / found.wind.length_scale
     if gusts < _GUSTS:
         notes.append(
-            f"the record lasts only {gusts:.0f} times as long as a gust: below {_GUSTS} times, the "
-            "standard errors are approximate"
+            f"the recording lasts only {gusts:.0f} times as long as a gust: below {_GUSTS} times, "
+            "the standard errors are only approximate"
         )
     if found.swing > _SWINGS:
         notes.append(
@@ -161,8 +161,8 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
         )
     if settled := expects.record.settled:
         notes.append(
-            f"the first {settled:.3g} s, which differ from the rest or precede the last command, "
-            "were omitted: set skip to 0 to keep them"
+            f"the first {settled:.3g} s, which differ from the rest of the recording or precede "
+            "the last command, were omitted: set skip to 0 to keep them"
         )
     if filled := expects.record.filled:
         notes.append(

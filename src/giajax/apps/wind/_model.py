@@ -306,8 +306,8 @@ class WindModel:
                 break
         else:
             raise InputError(
-                "the gusts and the arm's motion in them are too strong to be linearised about its "
-                "rest: start from a weaker wind"
+                "the gusts are too strong for the arm's motion to be linearised about its rest "
+                "position: start from a weaker wind"
             )
         self._angles, self._spread = angles, spread
         return here, covariance, places

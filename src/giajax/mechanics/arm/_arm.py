@@ -420,7 +420,7 @@ def chain(
             'a muscle law is given, but no joint has muscles: give muscles="pitch" as well'
         )
     if links < 1:
-        raise InputError(f"an arm of {links} links cannot be built: give at least 1")
+        raise InputError(f"an arm of {links} links cannot be built: give at least one link")
     values = dict(parameters or {})
     # These axes are a placeholder if none are given. `_check_stated` then reports that they are
     # missing, together with all other missing values.

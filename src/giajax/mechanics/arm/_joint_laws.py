@@ -429,13 +429,14 @@ class Hardening(AbstractJointLaw):
         unit="N m/rad^3",
         upper=1e4,
         frozen=False,
-        doc="coefficient of the torque proportional to the cube of the deflection",
+        doc="coefficient of the joint torque that is proportional to the cube of the deflection",
     )
     quintic: Each = _each_joint(
         0.0,
         unit="N m/rad^5",
         upper=1e4,
-        doc="coefficient of the torque proportional to the fifth power of the deflection",
+        doc="coefficient of the joint torque that is proportional to the fifth power of the "
+        "deflection",
     )
 
     def torque(self, at: JointState) -> PerJoint:
@@ -462,10 +463,18 @@ class EndStops(AbstractJointLaw):
     kind: ClassVar[str] = "end_stops"
 
     lower: Each = _each_joint(
-        -1.05, unit="rad", lower=-np.pi, upper=0, doc="angle of the lower stop"
+        -1.05,
+        unit="rad",
+        lower=-np.pi,
+        upper=0,
+        doc="joint angle beyond which the lower end stop acts",
     )
-    upper: Each = _each_joint(1.05, unit="rad", upper=np.pi, doc="angle of the upper stop")
-    stiffness: Each = _each_joint(100.0, unit="N m/rad", upper=1e5, doc="stiffness of the stops")
+    upper: Each = _each_joint(
+        1.05, unit="rad", upper=np.pi, doc="joint angle beyond which the upper end stop acts"
+    )
+    stiffness: Each = _each_joint(
+        100.0, unit="N m/rad", upper=1e5, doc="full stiffness of the end stops"
+    )
     damping: Each = _each_joint(
         0.0,
         unit="s/rad",
@@ -477,7 +486,7 @@ class EndStops(AbstractJointLaw):
         unit="rad",
         lower=1e-6,
         upper=1,
-        doc="angular range over which the stops reach their full stiffness",
+        doc="range of joint angles over which the end stops reach their full stiffness",
     )
 
     def torque(self, at: JointState) -> PerJoint:

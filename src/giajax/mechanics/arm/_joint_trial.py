@@ -334,7 +334,7 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
     for given, falling in zip(("angles", "rates"), found["falling"], strict=True):
         slopes = [part["torque"] for part in found["slopes"][given][1:]]
         wrong = ~between(-falling, slopes, _SLOPES * largest(*slopes, found["values"]["torque"]))
-        what = f"does not match the decrease of the torque with the {given}"
+        what = f"does not match the negative derivative of the torque with respect to the {given}"
         refuse("slopes", what, wrong, "correct it, or remove it, so that derivatives are used")
     taken, stored = found["taken"], found["stored"]
     lost, size = taken - stored, np.abs(taken) + np.abs(stored)

@@ -53,7 +53,7 @@ class Preisach(AbstractPlays):
     def __check_init__(self) -> None:
         if not 0 < self.extent < float("inf"):
             raise InputError(
-                f"the extent is {self.extent:g}: give the largest input, a positive number"
+                f"the extent is {self.extent:g}: give the largest input as a positive number"
             )
         if self.rows < 2:
             raise InputError(f"the mesh has {self.rows} rows: give at least 2")

@@ -19,13 +19,14 @@ REACHED, NEEDS_PUSH, NEEDS_PRESSURE, TOO_SHORT, PULLS_ANYWAY = range(5)
 
 _MEANING = {
     REACHED: "reached",
-    NEEDS_PUSH: "the muscle would have to push, which is impossible: raise the co-contraction "
-    "torque",
-    NEEDS_PRESSURE: "the force requires more than the pressure limit: give a smaller force or a "
-    "wider muscle",
+    NEEDS_PUSH: "the muscle would have to push, which is impossible: increase the "
+    "co-contraction torque",
+    NEEDS_PRESSURE: "the required pressure exceeds the pressure limit: give a smaller force or a "
+    "muscle of larger diameter",
     TOO_SHORT: "the muscle does not reach this contraction at any pressure: give a smaller "
     "contraction",
-    PULLS_ANYWAY: "the force of the muscle is larger even at zero pressure: give a larger force",
+    PULLS_ANYWAY: "the force of the muscle exceeds the required force even at zero pressure: "
+    "give a larger force",
 }
 
 

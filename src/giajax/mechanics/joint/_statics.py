@@ -111,8 +111,8 @@ class Correction(eqx.Module):
             )
         if not 0 <= self.blend <= np.pi / 6:
             raise InputError(
-                f"the correction is blended over {np.rad2deg(self.blend):g} deg about 0: give a "
-                "half-width of 0 to 30 deg"
+                "the half-width of the interval in which the correction is blended is "
+                f"{np.rad2deg(self.blend):g} deg: give 0 to 30 deg"
             )
 
     def __call__(self, angle: Shaped, inner: Bool[Array, "*shape"]) -> Shaped:

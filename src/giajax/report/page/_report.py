@@ -87,7 +87,7 @@ def opening(result: FitResult) -> Opening:
         grade = "doubtful"
         headline = (
             "The fit has converged and its residuals are within the noise, but a fixed or omitted "
-            "parameter is significant, and changes estimates by more than their errors"
+            "parameter is significant, and shifts estimates by more than their errors"
         )
     elif result.verdict.status == "not evaluated":
         grade = "doubtful"
@@ -124,7 +124,7 @@ def _undetermined(result: FitResult) -> list[str]:
 def _held_numbers(result: FitResult) -> list[str]:
     return [
         f"{error.path} is fixed, and {'its uncertainty' if error.stated else 'a change of 1 %'} "
-        f"changes {', '.join(error.decides)} by more than a standard error"
+        f"shifts {', '.join(error.decides)} by more than one standard error"
         for error in result.systematic
         if error.decides
     ]
