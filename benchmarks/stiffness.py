@@ -127,7 +127,8 @@ def convergence(quick: bool, console: Console) -> dict[str, Any]:
 
 
 def draw_order(found: dict[str, Any], path: Path) -> None:
-    figure = new_figure(7, 4.5, "springs5: steps of one length")
+    what = "Largest error of an angle over the number of steps, and the slope of order 5 (dotted)."
+    figure = new_figure(7, 4.5, "springs5: steps of one length", what)
     axes = figure.subplots()
     steps = np.asarray(found["steps"], dtype=float)
     for index, stiffness in enumerate(key for key in found if key != "steps"):
@@ -144,7 +145,8 @@ def draw_order(found: dict[str, Any], path: Path) -> None:
 
 
 def draw_cost(found: dict[str, Any], path: Path) -> None:
-    figure = new_figure(11, 4, "25 s of the arm, joints 1 and 2 driven")
+    what = "Computing time over the error of the tip, for each yaw stiffness and method."
+    figure = new_figure(11, 4, "25 s of the arm, joints 1 and 2 driven", what)
     panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
     for axes, (stiffness, curves) in zip(panels, found.items(), strict=True):
         for solver, curve in curves.items():

@@ -219,16 +219,19 @@ def every_picture_in_all_formats():
         if ours and title not in titles:
             titles.add(title)
             with pictures_as(FORMATS):
-                check_pictures(to_png(figure).others)
+                check_pictures(to_png(figure).others, title)
 
     Figure.savefig = saved
     yield
     Figure.savefig = save
 
 
-def check_pictures(others):
-    """Check that an SVG contains text as text, and a PDF one page without Type 3 fonts."""
+def check_pictures(others, title):
+    """Check that an SVG has text as text, a PDF no Type 3 fonts, and that there is a caption."""
     svg, pdf = others["svg"], others["pdf"]
+    caption, mark = others["txt"].decode().splitlines()
+    assert caption.startswith(title.replace("\n", " ") + ". ")
+    assert "giajax fit" in mark
     root = ElementTree.fromstring(svg)
     assert root.tag.endswith("}svg")
     assert root.find(".//{*}text") is not None

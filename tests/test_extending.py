@@ -103,7 +103,7 @@ def test_an_example_is_fitted_saved_loaded_reported_asked_and_fitted_again(
     if name == "coffee_filter":
         assert main(["check", "--data", "filter.csv"]) == 2
         said = capsys.readouterr().err
-        assert "or a registered model: correct it, give --plugin FILE.py" in said
+        assert "or a registered model: correct the name, give --plugin FILE.py" in said
 
 
 def test_a_model_that_is_not_registered_is_refused_with_what_it_was_made_with():

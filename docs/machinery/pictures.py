@@ -54,7 +54,7 @@ def _animated() -> None:
         title: giajax.models.arm_scene(giajax.simulate(each, command, times, solver="springs5"))
         for title, each in (("in air, C_D = 1.2", arm), ("without air", still))
     }
-    figure = new_figure(8.6, 4.2, "")
+    figure = new_figure(8.6, 4.2, "", "")
     panels = dict(zip(scenes, figure.subplots(1, 2, sharey=True), strict=True))
     low, high = np.array([scene.extent() for scene in scenes.values()]).transpose(1, 0, 2)
     title = figure.suptitle("", fontsize=10, x=0.01, ha="left")
@@ -82,7 +82,7 @@ def _in_space() -> None:
     times = np.array([0.0, 3.0, 7.0, 25.0])
     command = giajax.joint_ramps(arm.count, angles, start=0.5, duration=1.5)
     scene = giajax.models.arm_scene(giajax.simulate(arm, command, jnp.asarray(times)))
-    figure = new_figure(8.6, 4.1, "")
+    figure = new_figure(8.6, 4.1, "", "")
     figure.set_layout_engine("none")
     # A 3D panel is square and clips its contents, so it is as wide as the figure.
     panel: Any = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)

@@ -145,4 +145,4 @@ def test_a_damaged_cache_is_one_sentence(tmp_path):
         entry.write_bytes(b"damaged")
     (said,) = compiled()
     assert said.startswith(f"giajax: compiled programs in {tmp_path} cannot be read or written (")
-    assert said.endswith("so programs are compiled again: see giajax cache")
+    assert said.endswith("so programs are compiled again: see 'giajax cache'")

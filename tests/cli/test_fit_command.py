@@ -190,7 +190,7 @@ def test_the_same_fit_again_writes_over_and_another_does_not(fitted, tmp_path, m
     ]:
         status, out, err = giajax(*change)
         assert (status, out, err.count("\n")) == (2, "", 1)
-        assert err.startswith(f"giajax: {folder} contains the result of")
+        assert err.startswith(f"giajax: {folder} contains a result computed")
         assert part in err
         assert "--force" in err
         assert contents(folder) == before

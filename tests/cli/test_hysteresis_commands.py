@@ -105,7 +105,7 @@ def refused(capsys, arguments, words):
         (["--loop", "a.csv", "b"], "or --loop with a run"),
         (["b", "--travel", "3"], "--travel is only used with --loop: give both"),
         (["--loop", "a.csv", "--travel", "-3"], "--travel is -3: give a positive number"),
-        (["--loop", "a.csv", "--travel", "nan"], "--travel 'nan' must be a number"),
+        (["--loop", "a.csv", "--travel", "nan"], "--travel is 'nan': give a number"),
     ],
 )
 def test_sources_that_cannot_be(capsys, options, sentence):
@@ -160,7 +160,7 @@ def test_the_choice_is_a_table(loops, capsys):
     arguments = ["choose", "--data", loops, "--only", "play", "--only", "prandtl_ishlinskii"]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
-    headings = "model parameters held out deg fitted deg AIC BIC fit"
+    headings = "model parameters RMSE held out deg RMSE fitted deg delta AIC delta BIC status"
     assert " ".join(lines[0].split()) == headings
     assert lines[1].startswith("prandtl_ishlinskii ")
     assert main([*arguments, "--json"]) == 0

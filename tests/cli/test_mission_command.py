@@ -32,7 +32,8 @@ def test_a_mission_and_many(tmp_path, capsys):
     fitted = read_run(out / "run.csv").definition.section(ArmSection).values()
     assert fitted["contact.friction"] not in (None, 0.3)
     assert (
-        "the tip is not inside after 60 s in a wind of 0.2 m/s: the opening never came" in printed
+        "the tip is not inside the opening after 60 s in a wind of 0.2 m/s: the opening never came"
+        in printed
     )
     facts = json.loads((out / "mission.json").read_text(encoding="utf-8"))
     assert facts["reached_s"] is None

@@ -44,7 +44,7 @@ def made(monkeypatch):
             names.append("again")
             raise KeyboardInterrupt
         names.append(name)
-        figure = new_figure(4, 3, name)
+        figure = new_figure(4, 3, name, "A line.")
         figure.subplots().plot([0, 1])
         sources = Sources("a.", "b.", "c.")
         return Reproduced(f"This is {name}", sources, figure, ("n",), ((1,),), {"n": [1]})

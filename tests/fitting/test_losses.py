@@ -241,7 +241,7 @@ def test_parameters_are_numbers_of_python_or_numpy_and_keep_their_type():
 @pytest.mark.parametrize(
     ("said", "sentence"),
     [
-        ("cauchy", "fit.loss = 'cauchy' must be \"linear\", .*: correct it, or give --plugin"),
+        ("cauchy", "fit.loss = 'cauchy' must be \"linear\", .*: correct the name, or give --plug"),
         (3, "fit.loss = 3 must be"),
         ({"degrees_of_freedom": 3}, "fit.loss = .* must be"),
         (Local(), "the loss Local is not registered, so a result cannot refer to it"),

@@ -62,7 +62,7 @@ def test_an_expression_is_arithmetic(text, value):
 )
 def test_what_is_no_arithmetic_is_refused(text):
     with pytest.raises(
-        InputError, match=r"may contain only numbers, parameter paths.*: correct it"
+        InputError, match=r"may contain only numbers, parameter paths.*: remove everything else"
     ):
         Expression.parse(text)
 

@@ -204,7 +204,7 @@ WRONG = [
      ["link_mass_kg has 1 values", "link_length_m has 2"]),
     ("[arm]\nlinks = 2\njoint_axes = ['yaw']", ["joint_axes has 1 values", "links is 2"]),
     ("[arm]\njoint_axes = ['yaw', 'roll']", ["arm.joint_axes", "'roll'", '"pitch_yaw"']),
-    ("[arm]\njoint_axes = [[0, 0, 0]]", ["arm.joint_axes", "must not be zero"]),
+    ("[arm]\njoint_axes = [[0, 0, 0]]", ["arm.joint_axes", "non-zero length"]),
     ("[arm]\nbase_rotation_deg = [1, 2]", ["base_rotation_deg = [1, 2]", "three numbers"]),
     ("[arm]\ngravity_m_per_s2 = -9.81", ["gravity_m_per_s2 = -9.81", "acts along -z"]),
     ("[initial]\nfree = 1", ["initial.free = 1", "true or false"]),

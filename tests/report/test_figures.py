@@ -261,14 +261,18 @@ def test_a_figure_is_the_same_file_each_time(result):
 @pytest.mark.parametrize("dpi", [65, 260])
 def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
     def drawn():
-        figure = new_figure(4, 3, "A parabola")
+        figure = new_figure(4, 3, "A parabola", "The squares of 0 to 3.")
         figure.subplots().plot([0, 1, 4, 9])
         with pictures_as(["pdf", "svg", "png"], dpi):
             return to_png(figure), figure
 
     (first, figure), (second, _) = drawn(), drawn()
     assert (first, first.others) == (second, second.others)
-    assert list(first.others) == ["svg", "pdf"]
+    assert list(first.others) == ["svg", "pdf", "txt"]
+    caption = "A parabola. The squares of 0 to 3."
+    assert first.others["txt"].decode().splitlines()[0] == caption
+    assert caption.encode() in first
+    assert caption.encode() in first.others["svg"]
     svg, pdf = first.others["svg"], first.others["pdf"]
     assert (b"date" in svg.lower(), b"CreationDate" in pdf) == (False, False)
     texts = [each.text for each in ElementTree.fromstring(svg).iterfind(".//{*}text")]
@@ -280,23 +284,28 @@ def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
 
 @pytest.mark.quick
 def test_a_picture_that_is_written_over_leaves_no_other_format_of_what_was(tmp_path):
-    figure = new_figure(2, 2, "the first")
+    figure = new_figure(2, 2, "the first", "Nothing is drawn in it.")
     figure.subplots()
     path, own = tmp_path / "a.png", tmp_path / "b.svg"
     own.write_text("<svg>drawn by a person</svg>")
+    own.with_suffix(".txt").write_text("notes of a person")
     with pictures_as(["svg", "pdf"]):
         write_files({path: to_png(figure)}, force=False)
     assert path.with_suffix(".svg").exists()
+    assert path.with_suffix(".txt").exists()
     with pictures_as(["pdf"]):
-        write_files({path: to_png(figure), tmp_path / "b.png": to_png(figure)}, force=True)
+        write_files({path: to_png(figure)}, force=True)
     assert not path.with_suffix(".svg").exists()
     assert path.with_suffix(".pdf").exists()
+    write_files({path: to_png(figure), tmp_path / "b.png": to_png(figure)}, force=True)
+    assert not path.with_suffix(".txt").exists()
     assert own.exists()
+    assert own.with_suffix(".txt").exists()
 
 
 @pytest.mark.quick
 def test_a_figure_in_a_format_that_there_is_not():
-    sentence = "--format 'gif' must be png, svg or pdf: correct it"
+    sentence = "--format is 'gif': give png, svg or pdf"
     with pytest.raises(InputError, match=sentence), pictures_as(["svg", "gif"]):
         pass
 

@@ -213,7 +213,7 @@ def test_repetitions_are_on_the_page_of_their_fit_alone(result, run, tmp_path):
         (section,) = sections(result, source)
         assert (section.id, len(section.warnings)) == ("influence", 1)
         assert re.match(
-            rf"influence\.json is damaged: {why}: run giajax influence", section.warnings[0]
+            rf"influence\.json is damaged: {why}: run 'giajax influence'", section.warnings[0]
         )
     assert "influence.json is damaged" in Page(report_page(result, [run], source=source)).text
     (tmp_path / "influence.json").write_text(asked.to_json())

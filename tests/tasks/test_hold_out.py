@@ -46,7 +46,8 @@ def test_a_run_that_is_held_out_is_predicted(task):
     assert result.verdict.status == "adequate"
     (row,) = [row for row in summary(result).splitlines() if row.startswith("held out ")]
     assert "other: RMSE output 0.00" in row
-    assert "times the error expected from noise and parameters; 1 channel, 44 values" in row
+    expected = "times the error expected from noise and parameter uncertainty"
+    assert f"{expected}; 1 channel, 44 values" in row
     stored = load_result(task.out)
     assert stored.held_out == result.held_out
     assert summary(stored) == summary(result)
@@ -170,7 +171,7 @@ def test_the_command_line(task, capsys):
     # Other held-out data make another fit, which does not overwrite this one.
     assert main([*command, "--out", "out"]) == 2
     said = capsys.readouterr().err
-    assert "contains the result of other data" in said
+    assert "contains a result computed from other data" in said
     assert main([*command, *held[:2], *held[4:], "--no-figures"]) == 2
     assert "the held-out data" in capsys.readouterr().err
     assert (

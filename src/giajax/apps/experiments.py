@@ -339,12 +339,22 @@ _COLUMNS = {
 _HISTORIES = {"paper": "the paper's history", "other": "other amplitudes and minor loops"}
 
 
+_CAPTION = (
+    "Dots are measured angles after each step of the target angle, in the order of the connecting "
+    "line. On the dashed grey line both angles are equal. Columns: without compensation "
+    "(orange-red), with eq. (12) of the paper (blue), and with the inverse of a fitted operator "
+    "(green). Upper row: the paper's history, from which each trial's own offset is subtracted, "
+    "the one that minimises its mean error. Lower row: a history that was not used for "
+    "identification, with the offset of the recording. Errors are absolute values."
+)
+
+
 def figure_12(study: OneLink) -> Figure:
     """Plot one row per history and one column per compensation."""
     histories = list(dict.fromkeys(trial.history.name for trial in study.trials))
     columns = list(dict.fromkeys(trial.compensation for trial in study.trials))
     title = "One link (simulated): measured angle versus target angle, offset removed"
-    figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title)
+    figure = new_figure(3.6 * len(columns), 3.4 * len(histories) + 0.5, title, _CAPTION)
     grid = figure.subplots(len(histories), len(columns), sharex=True, sharey=True, squeeze=False)
     for row, name in enumerate(histories):
         for column, compensation in enumerate(columns):

@@ -609,13 +609,23 @@ def filling_json(filled: Filled, curve: FillingCurve | None = None) -> str:
 def filling_figure(filled: Filled) -> Figure:
     """Plot fullness, pressure, lift and stiffness versus time."""
     end = f"full after {filled.duration / _MINUTE:.1f} min" if filled.finished else "never full"
-    figure = new_figure(9.0, 6.0, f"Filling {filled.filling.arm.count} links: {end}")
+    lifts = not np.isnan(filled.arm_lift_off)
+    mark = " At the dashed line, the lift of all links begins to exceed their total weight."
+    caption = (
+        "The lines are the links, coloured from dark purple (base) to light green (tip). Fullness "
+        "is the volume of the gas in a link divided by the volume of its tube. Net lift is the "
+        "mass that a link could carry in addition to its own. Bending stiffness is that of an "
+        "inflated membrane tube (Comer and Levy) that bears the bending moment of its own weight."
+        f"{mark if lifts else ''}"
+    )
+    title = f"Filling {filled.filling.arm.count} links: {end}"
+    figure = new_figure(9.0, 6.0, title, caption)
     minutes = filled.times / _MINUTE
     panels = {
         "Fullness of each link": (filled.fullness, "fraction of the full volume"),
         "Pressure in each link": (filled.pressure, "gauge pressure (Pa)"),
-        "Net lift of each link": (filled.net_lift * 1e3, "g"),
-        "Bending stiffness of each link (assumed)": (filled.stiffness, "N m$^2$"),
+        "Net lift of each link": (filled.net_lift * 1e3, "net lift (g)"),
+        "Bending stiffness of each link (assumed)": (filled.stiffness, "stiffness (N m$^2$)"),
     }
     for place, (title, (table, unit)) in enumerate(panels.items(), start=1):
         axes = figure.add_subplot(2, 2, place)
@@ -625,7 +635,7 @@ def filling_figure(filled: Filled) -> Figure:
             axes.legend(fontsize=8, frameon=False, loc="upper left")
         if place == 3:
             axes.axhline(0, color=GREY, linewidth=0.8)
-            if not np.isnan(filled.arm_lift_off):
+            if lifts:
                 when = filled.arm_lift_off / _MINUTE
                 axes.axvline(when, color=INK, linewidth=0.8, linestyle="--")
                 low, high = axes.get_ylim()
@@ -648,7 +658,14 @@ def _curves(axes: Axes, minutes: Any, table: Any) -> None:
 def curve_figure(curve: FillingCurve) -> Figure:
     """Plot port diameter versus supply, and the required pressure."""
     title = f"Port diameters and supplies for filling within {curve.duration / _MINUTE:g} min"
-    figure = new_figure(8.0, 3.4, title)
+    missing = " Diameters with which no supply suffices are omitted."
+    caption = (
+        "Each dot is a diameter of all ports and a supply with which filling takes this time. "
+        "Left: diameter versus the initial flow of the supply, which is a volume flow at ambient "
+        "pressure. Right: largest gauge pressure in the first bag, at the base, versus diameter. "
+        f"The ordinate on the right is logarithmic.{missing if np.isnan(curve.flows).any() else ''}"
+    )
+    figure = new_figure(8.0, 3.4, title, caption)
     diameters = curve.diameters * 1e3
     axes = figure.add_subplot(1, 2, 1)
     axes.plot(curve.flows / _LITRE_PER_MINUTE, diameters, "o-", color=BLUE, ms=4)

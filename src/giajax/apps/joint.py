@@ -99,6 +99,15 @@ def angle_table(joint: Joint, *, corrected: bool, step_deg: float = 0.5) -> dict
 _SMALL: Any = {"fontsize": 8, "frameon": False}
 
 
+_ANGLE_CAPTION = (
+    "Left: contraction of the muscle, epsilon in eq. (2). Right: force of the muscle that balances "
+    "the torque. At positive bending angles the muscle is on the inner side of the joint (blue), "
+    "at negative angles on the outer side (orange-red). In the light grey band the muscle is "
+    "straight: its wire is slack, and it does not wrap around the balloons."
+)
+_CORRECTED = " Alpha (inner side) and beta (outer side) are added to the torque."
+
+
 def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     """Plot contraction and force of one muscle versus its bending angle, as in figs 9 and 10.
 
@@ -107,7 +116,8 @@ def angle_figure(joint: Joint, *, corrected: bool) -> Figure:
     """
     table = angle_table(joint, corrected=corrected)
     what = "with the corrections alpha and beta" if corrected else "without corrections"
-    figure = new_figure(10, 3.9, f"One muscle at a torque of {float(joint.torque):g} N m, {what}")
+    title = f"One muscle at a torque of {float(joint.torque):g} N m, {what}"
+    figure = new_figure(10, 3.9, title, _ANGLE_CAPTION + (_CORRECTED if corrected else ""))
     names = {"contraction": "contraction", "force_N": "force (N)"}
     for panel, (name, label) in zip(figure.subplots(1, 2), names.items(), strict=True):
         shade_branches(panel, joint)
@@ -148,9 +158,19 @@ def correction_table(
     return _of_both(step_deg, columns)
 
 
+_CORRECTION_CAPTION = (
+    "Torque that is added to the torque of one muscle, versus the bending angle of the muscle. "
+    "Alpha (blue) applies to the inner side, at positive angles. Beta applies to the outer side, "
+    "at negative angles. It is computed with the absolute angle (orange-red) or, as printed, with "
+    "the signed angle (dashed grey). On the dotted line the sum of both torques is 0. Below this "
+    "line the force of the muscle would be negative."
+)
+
+
 def correction_figure(joint: Joint) -> Figure:
     """Plot alpha and beta of a joint in both readings of the paper, to show the erratum."""
-    figure = new_figure(8, 3.6, "Corrections: computed with |angle|, and as printed in the paper")
+    title = "Corrections: computed with |angle|, and as printed in the paper"
+    figure = new_figure(8, 3.6, title, _CORRECTION_CAPTION)
     panel = figure.subplots()
     end, least = np.rad2deg(LARGEST_ANGLE), -float(joint.torque)
     for reading, colour, style in (("printed", GREY, (0, (3, 2))), ("continuous", VERMILLION, "-")):
@@ -189,6 +209,15 @@ _LETTERS = (
 )
 
 
+_JOINT_CAPTION = (
+    "Each panel shows the joint at one bending angle, in the frame of the bisector of its links. "
+    "Its title states the angle, the branch of the solution, and the contraction and force of the "
+    "muscle. At positive angles the muscle is the inner one, at negative angles the outer one. The "
+    "second muscle of the joint is not drawn. Dashed grey lines are the axes of the balloons. The "
+    "letters are those of figs 7 and 8 of the paper and are explained below the panels."
+)
+
+
 def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
     """Draw the joint at some bending angles (deg), to scale: links, muscle, wire and contacts.
 
@@ -197,7 +226,8 @@ def joint_figure(joint: Joint, degrees: Sequence[float] = _DRAWN) -> Figure:
     """
     columns = 2 if len(degrees) > 1 else 1
     rows = -(-len(degrees) // columns)
-    figure = new_figure(11, 2.35 * rows + 1.0, "One muscle (blue) and its wire at rest, to scale")
+    title = "One muscle (blue) and its wire at rest, to scale"
+    figure = new_figure(11, 2.35 * rows + 1.0, title, _JOINT_CAPTION)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     scene = joint_scene(joint.geometry, np.deg2rad(degrees))
     # Fill column by column, so that one column shows the inner and one the outer muscle.
@@ -293,14 +323,23 @@ def equilibria_table(
     return {name: np.asarray(values) for name, values in table.items()}, everything
 
 
+_EQUILIBRIA_CAPTION = (
+    "Left: all stable (blue) and unstable (orange-red) equilibrium angles under the two pressures "
+    "that the controller computes for a target angle, versus this angle. On the light grey "
+    "diagonal, the equilibrium is at the target. Right: net torque of the joint towards positive "
+    "angles versus its angle, at the constant pressures for one target angle. Its zeros are the "
+    "stable (blue) and unstable (orange-red) equilibria. In the light grey bands the first muscle "
+    "of the joint is straight."
+)
+
+
 def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg: float) -> Figure:
     """Plot every equilibrium of a pair versus the target angle, and the torque for one target.
 
     The table comes from `equilibria_table`. The example is the target angle whose torque is drawn.
     """
-    figure = new_figure(
-        11, 4.2, "Equilibria of a joint: the same two pressures allow several angles"
-    )
+    title = "Equilibria of a joint: the same two pressures allow several angles"
+    figure = new_figure(11, 4.2, title, _EQUILIBRIA_CAPTION)
     left, right = figure.subplots(1, 2)
     shade_branches(left, pair.joint)
     target, angle, stable = table["target_deg"], table["angle_deg"], table["stable"]

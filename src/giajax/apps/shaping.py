@@ -560,9 +560,9 @@ SHAPING_HEADINGS = (
     "command ends, s",
     "tip at rest, s",
     "residual, % of travel",
-    "stiffness -25 %",
-    "stiffness +25 %",
-    "95 % of draws",
+    "residual, stiffness -25 %",
+    "residual, stiffness +25 %",
+    "residual, 95 % of draws",
 )
 
 
@@ -615,10 +615,20 @@ def shaping_facts(found: Shaping) -> dict[str, Any]:
 
 _COLOURS = (GREY, BLUE, VERMILLION, GREEN)
 
+_CAPTION = (
+    "Top: command of the joint with the largest motion. ZV (zero vibration), ZVD (zero vibration "
+    "and derivative) and EI (extra insensitive) are shapers, which convolve the original command "
+    "with impulses. Bottom: simulated distance of the tip in still air from the position in which "
+    "it finally rests, in the same colours. Dots: ends of the commands. Dotted line: "
+    f"{100 * _NEAR:g} % of the travel of the tip."
+)
+_BANDS = " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."
+
 
 def shaping_figure(found: Shaping, title: str = "") -> Figure:
     """Plot the commands, and the distance of the tip from its rest position versus time."""
-    figure = new_figure(9, 6.4, title or "The command, unshaped and shaped")
+    caption = _CAPTION + (_BANDS if any(len(row.distances) for row in found.rows) else "")
+    figure = new_figure(9, 6.4, title or "The command, unshaped and shaped", caption)
     above, below = figure.subplots(2, 1, sharex=True)
     moved = np.ptp(found.rows[0].command.angles, axis=0)
     joint = int(np.argmax(moved))

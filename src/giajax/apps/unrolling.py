@@ -511,18 +511,27 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
     end = "not completely paid out"
     if unrolled.finished:
         end = f"completely paid out after {unrolled.handed_over / _MINUTE:.1f} min"
-    figure = new_figure(9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: {end}")
+    flow = " (solid) and gas flow divided by the cross-section of the tube (dashed)"
+    filling = " while it is unrolled and then filled. Dashed lines mark the labelled events"
+    caption = (
+        "Upper left: length of the arm that is paid out. Upper right: speed of the roll"
+        f"{flow if made.by_gas else ''}. Lower left: forces along the path of the roll. Forces "
+        "that oppose its motion are negative. Bending and inertia forces are not drawn. Lower "
+        "right: mass of gas in the arm relative to the mass that fills it at ambient pressure"
+        f"{'' if unrolled.filled is None else filling}."
+    )
+    figure = new_figure(9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: {end}", caption)
     minutes = unrolled.times / _MINUTE
     axes = figure.add_subplot(2, 2, 1)
     axes.plot(minutes, unrolled.paid_out, color=BLUE, linewidth=1.4)
-    plain(axes, "Length paid out", "time (min)", "m")
+    plain(axes, "Length paid out", "time (min)", "length (m)")
     axes = figure.add_subplot(2, 2, 2)
     axes.plot(minutes, unrolled.speed * 1e3, color=BLUE, linewidth=1.2, label="roll")
     if made.by_gas:
         feeds = unrolled.flow / _area(unrolled) * 1e3
         axes.plot(minutes, feeds, "--", color=INK, linewidth=0.9, label="gas flow per area")
         axes.legend(fontsize=8, frameon=False)
-    plain(axes, "Speed of the roll", "time (min)", "mm/s")
+    plain(axes, "Speed of the roll", "time (min)", "speed (mm/s)")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes = figure.add_subplot(2, 2, 3)
     forces = {**unrolled.forces._asdict(), "hand": unrolled.hand_force}
@@ -533,7 +542,7 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.35 * (high - low))
     axes.legend(fontsize=8, frameon=False, ncols=3, loc="upper left")
-    plain(axes, "Forces on the roll", "time (min)", "N")
+    plain(axes, "Forces on the roll", "time (min)", "force (N)")
     axes = figure.add_subplot(2, 2, 4)
     _whole_course(axes, unrolled)
     return figure
@@ -555,7 +564,7 @@ def _whole_course(axes: Axes, unrolled: Unrolled) -> None:
         times = np.append(times, unrolled.handed_over + filled.times)
         gas = np.append(gas, filled.supplied)
     axes.plot(times / _MINUTE, gas / full, color=BLUE, linewidth=1.4)
-    plain(axes, "Gas in the arm", "time (min)", "relative to a full arm")
+    plain(axes, "Gas in the arm", "time (min)", "mass relative to a full arm")
     axes.set_ylim(0, 1.3)
     marks = {"filling begins": unrolled.handed_over, "arm lifts off": unrolled.arm_lift_off}
     for height, (said, when) in zip((1.22, 1.12), marks.items(), strict=True):

@@ -402,9 +402,9 @@ def _check(of: Any, word: str, name: str) -> None:
     if of is Path:
         check_path(word)
     elif of is int and not _WHOLE.fullmatch(word):
-        raise InputError(f"{option} {shown(word)} must be a whole number, such as 10: correct it")
+        raise InputError(f"{option} is {shown(word)}: give a whole number, such as 10")
     elif of is float and number(word) is None:
-        raise InputError(f"{option} {shown(word)} must be a number, such as 0.5: correct it")
+        raise InputError(f"{option} is {shown(word)}: give a number, such as 0.5")
 
 
 BAD_INPUT = 2

@@ -159,7 +159,8 @@ def choose(
         typer.echo(json.dumps({"unit": choice.unit, "candidates": facts}, indent=2))
         return
     unit = f" {choice.unit}" if choice.unit else ""
-    headings = ["model", "parameters", f"held out{unit}", f"fitted{unit}", "AIC", "BIC", "fit"]
+    errors = [f"RMSE held out{unit}", f"RMSE fitted{unit}"]
+    headings = ["model", "parameters", *errors, "delta AIC", "delta BIC", "status"]
     formats = ("", "", ".3g", ".3g", "+.1f", "+.1f", "")
     cells = [list(map(format, row, formats)) for row in rows]
     print_table(headings, [[*row[:-1], _ENDS.get(row[-1], row[-1])] for row in cells])

@@ -173,8 +173,8 @@ Examples:
       --to run.csv          a table with known column names
 
 \b
-After the import, giajax init --data run.csv writes a sidecar with a section
-for each camera, and giajax fit --data run.csv fits the run.""",
+After the import, `giajax init --data run.csv` writes a sidecar with a section
+for each camera, and `giajax fit --data run.csv` fits the run.""",
     group="data",
     old={
         "--out": "--to",
@@ -266,7 +266,9 @@ def import_(
 
     place = None if origin is None else numbers(origin, 2)
     if origin is not None and place is None:
-        raise InputError(f"--origin is {origin!r}: give two numbers, such as 0,1079")
+        raise InputError(
+            f"--origin is {origin!r}: give two numbers separated by a comma, such as 0,1079"
+        )
     how = ImportSettings(
         frame_rate=frame_rate,
         likelihood=likelihood,
@@ -394,7 +396,7 @@ def _show_examples(root: Path) -> None:
     tables = [path for data in _DATA for path in sorted((root / data).rglob("*.csv"))]
     # A table without a sidecar is a source from which a run was made.
     runs = [path for path in tables if path.with_suffix(".toml").exists()]
-    headings = ["run", "inputs", "rows", "seconds", "channels", "missing %"]
+    headings = ["run", "inputs", "rows", "duration s", "channels", "missing %"]
     print_table(headings, [_run(path, root) for path in runs], left=2)
     print(f"\nThe examples are in {root}; to copy them: giajax examples --copy DIR")
 
@@ -478,4 +480,4 @@ def cache(clear: Annotated[bool, "Remove the compiled programs from the cache."]
         # Another process may remove a file in the meantime.
         size = sum(path.stat().st_size for path in paths if path.exists())
         rows.append((name, len(paths), f"{size / 1e6:.1f}"))
-    print_table(["", "programs", "MB"], rows)
+    print_table(["", "programs", "size MB"], rows)

@@ -272,7 +272,7 @@ Examples:
 WHAT is the folder of a fit, or the TOML file of an arm. Sticks bend the base and
 the tip. Sliders and presets move any joint. If the pad or the connection is lost
 or the browser tab is closed, the arm holds its position. Ctrl-C ends the drive and
-saves it as a run that giajax fit can read. A pad file assigns sticks and buttons:
+saves it as a run that `giajax fit` can read. A pad file assigns sticks and buttons:
 
 \b
   [pad]
@@ -315,7 +315,9 @@ def drive(
         "RUN.csv",
         "Output file for the run. [default: drive-N.csv with the next free N]",
     ] = None,
-    channels: Annotated[Texts, "CHANNEL", "Channel to record, named as in giajax simulate."] = None,
+    channels: Annotated[
+        Texts, "CHANNEL", "Channel to record, named as in 'giajax simulate'."
+    ] = None,
     noise: Annotated[
         Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
     ] = None,

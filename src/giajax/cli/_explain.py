@@ -66,7 +66,7 @@ Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
 )
 def explain(
     definition: Annotated[
-        Path | None, argument("DEFINITION", "Fit definition; see giajax fit.")
+        Path | None, argument("DEFINITION", "Fit definition; see 'giajax fit'.")
     ] = None,
     data: Annotated[Paths, "RUN.csv", "A run to explain."] = None,
     validation: Annotated[Paths, "RUN.csv", "A run for validation of the steps."] = None,

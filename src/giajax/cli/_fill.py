@@ -131,7 +131,10 @@ def _show(filled: "Filled") -> None:
         numbers = (f"{filled.fullness[-1, link]:.3f}", f"{most:.1f}", f"{lift:.1f}")
         stiffness = f"{filled.stiffness[-1, link]:.1f}"
         rows.append((str(link + 1), minutes(full), minutes(lifts), *numbers, stiffness))
-    headings = ["link", "full min", "lifts min", "fullness", "max Pa", "lift g", "N m^2"]
+    headings = [
+        *("link", "fill time min", "lift-off min", "fullness", "max pressure Pa"),
+        *("net lift g", "stiffness N m^2"),
+    ]
     print_table(headings, rows)
     if filled.finished:
         typer.echo(f"\nthe arm is full after {filled.duration / 60:.2f} min")
@@ -163,4 +166,5 @@ def _show_curve(curve: "FillingCurve") -> None:
     for diameter, flow, strength, pressure in zip(*columns, strict=True):
         cells = (f"{6e4 * flow:.2f}", f"{strength:.5g}", f"{pressure:.0f}")
         rows.append((f"{1e3 * diameter:g}", *((None,) * 3 if np.isnan(flow) else cells)))
-    print_table(["port mm", "l/min", f"{curve.path} {unit}", "max Pa"], rows)
+    headings = ["port diameter mm", "flow l/min", f"{curve.path} {unit}", "max pressure Pa"]
+    print_table(headings, rows)

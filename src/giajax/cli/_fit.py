@@ -268,7 +268,7 @@ def show_diagnosis(result: "FitResult") -> None:
     from ..report import SUSPECT_HEADINGS, first_suspects, systematic_table
 
     if rows := first_suspects(result):
-        print("\neffects that the residuals suggest (giajax suspects lists all suspects):")
+        print("\neffects that the residuals suggest (run 'giajax suspects' to list all suspects):")
         print_table(SUSPECT_HEADINGS, rows)
     if any(error.stated for error in result.systematic):
         print("\neffect of the uncertainty of fixed parameters, in units of the standard error:")

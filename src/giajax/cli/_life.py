@@ -46,14 +46,14 @@ With --out DIR, the command writes
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run
 
-MISSION is a mission file, as for giajax mission. The sections [unrolling] and [filling]
+MISSION is a mission file, as for `giajax mission`. The sections [unrolling] and [filling]
 of this file set the properties of the roll and of the gas supply.""",
     group="arm",
     pictures=True,
 )
 def life(
     context: typer.Context,
-    file: Annotated[Path, argument("MISSION", "Mission file, as for giajax mission.")],
+    file: Annotated[Path, argument("MISSION", "Mission file, as for 'giajax mission'.")],
     seed: Annotated[int, "N", "Seed of gusts and pixel noise.", 0] = 0,
     pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
     out: Annotated[Path | None, "DIR", "Folder for tables, a figure and a page."] = None,
@@ -138,12 +138,12 @@ def _show(life: "Life") -> None:
                 f"{each.energy.stored:.3f}",
             )
         )
-    headings = ["phase", "min", "fed g", "out g", "lift g", "margin N", "link", "touched"]
-    print_table([*headings, "in J", "out J", "stored J"], rows)
+    headings = ["phase", "duration min", "gas in g", "gas out g", "lift g", "margin N", "at link"]
+    print_table([*headings, "touched", "gained J", "lost J", "stored J"], rows)
     outcome = life.outcome
-    how = f"the tip is not inside: {outcome.reason}"
+    how = f"the tip is not inside the opening: {outcome.reason}"
     if outcome.reached is not None:
-        how = f"the tip is inside after {outcome.reached:.1f} s of the mission"
+        how = f"the tip is inside the opening after {outcome.reached:.1f} s of the mission"
     typer.echo(f"\n{how}; total duration {life.duration / 60:.1f} min")
     _, _, feed, _, mission, *_ = life.phases
     fed = f"after gas was fed for another {feed.end - feed.begin:.1f} s"

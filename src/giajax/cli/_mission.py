@@ -53,7 +53,8 @@ def tell(
         shown = [f"{n:.{d}f}" for n, d in zip(numbers, (1, 1, 2, 2), strict=True)]
         cells = [", ".join(map(str, each.links)), *shown] if each.links else [None] * 5
         rows.append([each.obstacle, *cells])
-    print_table(["obstacle", "links", "for s", "flattened mm", "max N", "N s"], rows)
+    headings = ["contact s", "flattening mm", "max force N", "impulse N s"]
+    print_table(["obstacle", "links", *headings], rows)
     wind = mission.section.wind.speed_m_per_s
     if not mission.enters and math.isfinite(outcome.swing):
         away = mission.opening.centre - outcome.station
@@ -64,11 +65,14 @@ def tell(
         )
     elif outcome.reached is None:
         typer.echo(
-            f"\nthe tip is not inside after {outcome.times[-1]:.0f} s in a wind of {wind:g} m/s: "
-            f"{outcome.reason} (smallest distance {outcome.nearest:.2f} m)"
+            f"\nthe tip is not inside the opening after {outcome.times[-1]:.0f} s in a wind of "
+            f"{wind:g} m/s: {outcome.reason} (smallest distance {outcome.nearest:.2f} m)"
         )
     else:
-        typer.echo(f"\nthe tip is inside after {outcome.reached:.1f} s in a wind of {wind:g} m/s")
+        typer.echo(
+            f"\nthe tip is inside the opening after {outcome.reached:.1f} s in a wind of {wind:g} "
+            "m/s"
+        )
     if out is not None:
         typer.echo(f"wrote {shlex.quote(str(out))}; {command_after('view', out / 'run.csv')}")
 
@@ -102,8 +106,8 @@ def tell_cases(
         )
         for tally in cases.tallies
     ]
-    headings = ["m/s", "inside", "median s", "touched", "flattened mm", "failures"]
-    print_table(headings, rows)
+    headings = ["wind m/s", "in opening", "median time s", "with contact", "max flattening mm"]
+    print_table([*headings, "failures"], rows)
     typer.echo(f"\ncomputing time {cases.seconds:.2f} s per mission")
     if out is not None:
         say_written(out, CASES_FILES)
@@ -222,7 +226,10 @@ def mission(
         speeds = _SPEEDS if resting_run is None else _RANGE
     flown_at = numbers(speeds)
     if flown_at is None or min(flown_at) < 0:
-        raise InputError(f"--speeds is '{speeds}': give non-negative numbers, such as 0,0.1,0.2")
+        raise InputError(
+            f"--speeds is '{speeds}': give non-negative numbers separated by commas, such as "
+            "0,0.1,0.2"
+        )
     flown_at = list(dict.fromkeys(flown_at))
     if speed is not None and not 0 <= speed < math.inf:
         raise InputError(f"--speed is {speed:g}: give a non-negative number")

@@ -121,7 +121,7 @@ Examples:
 
 Each value is taken from the preset, the file or the sidecar of the run, or is the
 default. Parameters marked 'off' are omitted from the model. The options --start
-and --free of giajax fit switch such a parameter on at the listed value. An
+and --free of `giajax fit` switch such a parameter on at the listed value. An
 array has one element for each link or joint. For example, links.mass[0] is the
 first element of links.mass. For parameters marked 'assumed', the paper gives no
 value: estimate these parameters by a fit.""",
@@ -144,7 +144,9 @@ def parameters(
     from ..recordings import Definition, read_run
 
     if data is not None and (arm or preset or links is not None):
-        raise InputError("the run of --data determines the model: omit --arm, --preset and --links")
+        raise InputError(
+            "the run given with --data determines the model: omit --arm, --preset and --links"
+        )
     recorded = None if data is None else read_run(data)
     definition = arm_of(arm, preset)
     options = {"preset": preset, "links": links}

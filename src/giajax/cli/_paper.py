@@ -38,7 +38,7 @@ Examples:
                             write everything and index.html; repeat the
                             command to continue after an interruption
   giajax paper table3 --inverse --out paper
-                            search for arms that give the printed table
+                            search for arms that reproduce the table
 
 \b
 NAME is
@@ -60,7 +60,9 @@ records which values are printed in the paper, assumed or reconstructed.""",
 def paper(
     name: Annotated[str, argument("NAME", "A figure or table (see below), or 'all'.")],
     out: Annotated[Path, "DIR", "Folder for figures and tables."],
-    inverse: Annotated[bool, "For table3: search for arms that give the printed values."] = False,
+    inverse: Annotated[
+        bool, "For table3: search for arms that reproduce the printed values."
+    ] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -186,8 +188,8 @@ def hysteresis(
         "compensation",
         "mean error deg",
         "largest error deg",
-        "mean ratio",
-        "largest ratio",
+        "mean / none",
+        "largest / none",
     ]
     if not quiet:
         print_table(headings, rows, left=2)

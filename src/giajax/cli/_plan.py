@@ -108,7 +108,9 @@ def plan(
     check_output_folder(out, files, force=force)
     place = None if tip is None else numbers(tip, 3)
     if tip is not None and place is None:
-        raise InputError(f"--tip is '{tip}': give three numbers in m, such as 16,5,3")
+        raise InputError(
+            f"--tip is '{tip}': give three numbers in m separated by commas, such as 16,5,3"
+        )
     definition = definition_of(model)
     configure()
     import numpy as np
@@ -170,7 +172,7 @@ def _angles(pairs: list[str] | None, option: str, joints: int) -> "np.ndarray":
     angles = np.zeros(joints)
     for name, angle in joint_angles(pairs, option).items():
         if not name.isdigit():
-            raise InputError(f"{option} '{name}=...' must be JOINT=DEG, such as 1=20: correct it")
+            raise InputError(f"{option} is '{name}=...': give JOINT=DEG, such as 1=20")
         if not 1 <= int(name) <= joints:
             raise InputError(
                 f"{option} names joint {name}, but the arm has joints 1 to {joints}: correct the "

@@ -122,8 +122,8 @@ def sensitivity(
     again = (arm, step, ramp, command, wind, links, duration, rate)
     if data is not None and any(value is not None and value != [] for value in again):
         raise InputError(
-            "the run of --data determines the arm and the motion: omit the options that specify "
-            "them"
+            "the run given with --data determines the arm and the motion: omit the options that "
+            "specify them"
         )
     recorded = None if data is None else read_run(data)
     sections = definition_from_options(arm, links, wind, quiet=quiet)
@@ -208,7 +208,7 @@ def _show_sensitivity(
         found = [error, unit, f"{bodies[most]} ({100 * share:.0f} %)"]
         cells = found if error < math.inf else ["not determined", unit, None]
         rows.append([path, float(sensitivities.values[index]), *cells])
-    print_table(["parameter", "value", "expected error", "unit", "most informative"], rows)
+    print_table(["parameter", "value", "expected error", "unit", "most informative body"], rows)
 
 
 _KEPT = ("initial", "wind", "noise")  # Sections of a file that are kept in addition to the arm.
@@ -434,7 +434,7 @@ def design(
 def _numbers(joints: str) -> tuple[int, ...]:
     words = [word.strip() for word in joints.split(",")]
     if not all(word.isascii() and word.isdigit() and len(word) < 9 for word in words):
-        raise InputError(f"--joints {joints!r} must be numbers, such as 1,3: correct it")
+        raise InputError(f"--joints is {joints!r}: give numbers separated by commas, such as 1,3")
     return tuple(int(word) for word in words)
 
 

@@ -179,7 +179,7 @@ def definition_from_options(
 def replayed_run(
     command: Path | None, definition: "Definition", moves: Sequence[str] | None
 ) -> "Run | None":
-    """Return the run of --command, interpolated as the arm file specifies; None without one."""
+    """Return the run given with --command, interpolated as in the arm file; None without one."""
     from ..recordings import Definition, read_run, read_sidecar
     from ..schema import ArmSection
 
@@ -228,7 +228,7 @@ def moves_of(step: Sequence[str], ramp: Sequence[str], count: int, duration: flo
             at_once = option == "--step"
             if match is None or (match["duration"] and at_once):
                 form = "JOINT=DEG[@T]" if at_once else "JOINT=DEG[@START:DURATION]"
-                raise InputError(f"{option} {text!r} must be {form}, such as 1=30@0.5: correct it")
+                raise InputError(f"{option} is {text!r}: give {form}, such as 1=30@0.5")
             length = 0.0 if at_once else float(match["duration"] or _RAMP_DURATION)
             if length == 0 and not at_once:
                 raise InputError(

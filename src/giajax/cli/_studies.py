@@ -48,7 +48,7 @@ their original paths. Each PATH, a free parameter or a derived quantity, is fixe
 increasing distances from its estimate while all other parameters are fitted.
 Without a PATH, all free parameters are profiled.
 The command writes profiles.json and profiles.png beside the result, where
-giajax report finds them. Existing profiles of the same fit are kept, and profiles
+`giajax report` finds them. Existing profiles of the same fit are kept, and profiles
 of further paths are added. After Ctrl-C, repeat the command to continue. With --force, all
 profiles are computed again.""",
     group="trust",
@@ -218,7 +218,7 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The command writes bootstrap.json and bootstrap.png beside
-the result, where giajax report finds them. After Ctrl-C, a result is written from
+the result, where `giajax report` finds them. After Ctrl-C, a result is written from
 the finished repetitions. With --folder DIR, the same command with --force
 then computes the remaining repetitions.""",
     group="trust",
@@ -283,7 +283,7 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The command writes influence.json and influence.png beside
-the result, where giajax report finds them.""",
+the result, where `giajax report` finds them.""",
     group="trust",
     workers=True,
     folder=_KEPT,

@@ -130,8 +130,9 @@ def _show(unrolled: "Unrolled") -> None:
                 f"{forces.weight[k]:.3f}",
             )
         )
-    driven = "gas N" if unrolled.unrolling.by_gas else "hand N"
-    print_table(["min", "out m", "mm/s", "radius mm", "Pa", driven, "weight N"], rows)
+    driven = "gas force N" if unrolled.unrolling.by_gas else "hand force N"
+    headings = ["time min", "paid out m", "speed mm/s", "radius mm", "pressure Pa", driven]
+    print_table([*headings, "weight N"], rows)
     if not unrolled.finished:
         why = "the supply is too weak or holds too little gas"
         if not unrolled.unrolling.by_gas:

@@ -138,7 +138,9 @@ def deviations(
 def velocity(text: str, option: str) -> list[float]:
     """Parse three numbers in m/s."""
     if (found := numbers(text, 3)) is None:
-        raise InputError(f"{option} is {text!r}: give three numbers in m/s, such as 0,0.2,0")
+        raise InputError(
+            f"{option} is {text!r}: give three numbers in m/s separated by commas, such as 0,0.2,0"
+        )
     return found
 
 

@@ -165,7 +165,7 @@ def _unless_far_off(state: FitState, advice: str) -> str:
     """Return the advice if the model describes the data, otherwise the advice to check the data."""
     if times_white_noise(state) < FAR_OFF:
         return advice
-    return "first find out why the model does not describe the data: run giajax check on the data"
+    return "first find out why the model does not describe the data: run 'giajax check' on the data"
 
 
 def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
@@ -341,7 +341,7 @@ def _bent(statistics: Statistics, curvatures: Mapping[int, Curvature]) -> Iterat
                 f"the standard error of {name} is not reliable: within one standard error, the "
                 f"second derivatives change the cost by {bent.left_out:+.0%}, and the costs on "
                 f"the two sides differ by {bent.skew:+.0%}",
-                "compute its interval with giajax profile, or record more data",
+                "compute its interval with 'giajax profile', or record more data",
             )
 
 

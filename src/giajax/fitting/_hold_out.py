@@ -68,7 +68,7 @@ class HoldOut:
     whole: Setup
 
     def judge(self, result: FitResult) -> FitResult:
-        """Return the result of a fit with the prediction errors of the held-out data.
+        """Return a fit result with the prediction errors of the held-out data.
 
         If these errors exceed what the noise and the uncertainty of the parameters allow, the
         verdict has an additional reason.

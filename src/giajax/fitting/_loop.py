@@ -173,8 +173,8 @@ def _cannot_describe(state: FitState) -> str:
         return ""
     return (
         f", and the residuals are {scale:.2g} times the noise, so the model does not describe the "
-        "data: run giajax check on the data (units, signs, labels, lost cells, glitches), and "
-        "giajax suspects on the result"
+        "data: run 'giajax check' on the data (units, signs, labels, lost cells, glitches), and "
+        "'giajax suspects' on the result"
     )
 
 

@@ -193,9 +193,8 @@ def _stamps(path: Path, clocks: Mapping[str, _Moments]) -> dict[str, _Moments]:
         if (gap := spans[later][0] - latest) > length:
             raise InputError(
                 f"{path}: the clocks of {topic} and {later} differ by {gap / _NS:.6g} s, but the "
-                f"bag lasts {length / _NS:.6g} s: correct the time stamps, or exclude one topic, "
-                f"for example with --ignore"
-                f" '{later}*'"
+                f"bag lasts only {length / _NS:.6g} s: correct the time stamps, or exclude one "
+                f"topic, for example with --ignore '{later}*'"
             )
     return stamps
 
@@ -267,8 +266,7 @@ class _Found:
             return
         if not (type(received) is int and 0 <= received < _MOMENTS):
             raise InputError(
-                f"{what} has the receipt time {shown(received)}: this time must be in ns since "
-                f"1970, so correct it"
+                f"{what} has the receipt time {shown(received)}: give this time in ns since 1970"
             )
         self._count(2)  # the stamp and the receipt time, so that empty messages count, too
         message = self._message(topic, data, what)
@@ -288,8 +286,8 @@ class _Found:
             if abs(value) > VALUE:
                 raise InputError(
                     f"{self.path}: {thing} is {value:g} in a message, but must be at most "
-                    f"{VALUE:g} in magnitude: correct it, or exclude the topic with --ignore "
-                    f"'{topic.name}*'"
+                    f"{VALUE:g} in magnitude: correct the value, or exclude the topic with "
+                    f"--ignore '{topic.name}*'"
                 )
             numbers.append(number)
             values.append(value)

@@ -249,7 +249,7 @@ def _known_model(word: str) -> str:
         )
     if word not in KINDS:
         raise ValueError(
-            f"= {word!r} must be {one_of(_QUOTED)}, or a registered model: correct it, give "
+            f"= {word!r} must be {one_of(_QUOTED)}, or a registered model: correct the name, give "
             "--plugin FILE.py, or install its package"
         )
     return word

@@ -189,8 +189,8 @@ class Uncertainty(Section):
                 for one in each
             ):
                 raise ValueError(
-                    f"key {path!r} must be a standard deviation (SI), 0 for an exact value, or a "
-                    "list of them: correct it"
+                    f"key {path!r} is not a standard deviation: give a number of at least 0 in SI "
+                    "units (0 for an exact value), or a list of such numbers"
                 )
             if (whole := path.partition("[")[0]) != path and whole in stated:
                 raise ValueError(
@@ -239,7 +239,9 @@ def _known_loss(said: Any) -> Any:
     name = said.get("name") if isinstance(said, Mapping) else said
     known = isinstance(name, str) and (name in get_args(Loss) or registered("loss", name))
     if not known:
-        raise ValueError(f"= {shown(said)} must be {_LOSS}: correct it, or give --plugin FILE.py")
+        raise ValueError(
+            f"= {shown(said)} must be {_LOSS}: correct the name, or give --plugin FILE.py"
+        )
     return said
 
 

@@ -69,9 +69,9 @@ class ImportSettings:
         if not 0 <= self.likelihood <= 1:
             raise InputError(f"the likelihood is {self.likelihood:g}: give a number from 0 to 1")
         if not np.all(np.isfinite([self.offset, *(self.origin or ())])):
-            raise InputError("--offset and --origin must be finite numbers: correct them")
+            raise InputError("--offset or --origin is not finite: give finite numbers")
         if np.isnan(self.from_time) or np.isnan(self.until):
-            raise InputError("--from-time and --until must be numbers: correct them")
+            raise InputError("--from-time or --until is not a number: give a time in s")
 
     def check_used(self, path: Path, program: str, *used: str) -> None:
         """Refuse options that are set, but not used (`used`) to read this file."""

@@ -101,7 +101,8 @@ class Rows(NamedTuple):
             row, column = divmod(int(bad[0]), len(columns))
             raise InputError(
                 f"{columns[column]} has {table[bad[0]]:g} in row {row + self.first}, but values "
-                f"must be at most {VALUE:g} in magnitude: correct it, or leave the cell empty"
+                f"must be at most {VALUE:g} in magnitude: correct the value, or leave the cell "
+                "empty"
             )
         return dict(zip(wanted, table.reshape(-1, len(wanted)).T, strict=True))
 

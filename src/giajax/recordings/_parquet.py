@@ -62,7 +62,7 @@ def split_parquet(data: bytes, path: Path) -> tuple[list[str], list[pl.Series], 
             if longest > CELL_BYTES:
                 raise InputError(
                     f"{path}: a cell of column {series.name!r} has {longest:,} bytes, but may "
-                    f"have at most {CELL_BYTES:,}: correct it"
+                    f"have at most {CELL_BYTES:,}: shorten it"
                 )
     return frame.columns, frame.get_columns(), 1
 

@@ -72,7 +72,7 @@ def constants(look: Look) -> Iterator[Oddity]:
                         f"{name}.{key} is {number[bad][0]:g}, but the usual range is from "
                         f"{low / part.factor:.3g} to {high / part.factor:.3g} in the unit of its "
                         "key, so the unit may be wrong",
-                        "correct it in the sidecar",
+                        "correct the value in the sidecar",
                     )
     if look.run.model == "arm":
         yield from _constants_of_arm(look)

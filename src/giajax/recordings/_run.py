@@ -165,7 +165,7 @@ def _check_text(array: npt.NDArray[Any], channel: Channel, naming: Naming) -> No
     if at is not None:
         raise InputError(
             f"{naming.source}: {naming.of(channel)} is {array[at]!r} in {naming.at(at)}, but must "
-            f"be {' or '.join(allowed)} everywhere: correct it"
+            f"be {' or '.join(allowed)} everywhere: correct this value"
         )
 
 
@@ -180,7 +180,7 @@ def _check_numbers(
     if (at := _first(np.isinf(array))) is not None:
         raise InputError(
             f"{called} is infinite in {naming.at(at)}, but must be a finite number or empty: "
-            "correct it"
+            "correct this value"
         )
     if (at := _first(np.abs(array) > VALUE)) is not None:
         raise InputError(

@@ -134,7 +134,7 @@ def split_csv(
                 raise InputError(
                     f"{path} separates its cells with {called}, but commas must separate the "
                     f"cells (and numbers must have a decimal point): export the file again, or "
-                    f"convert it with giajax import"
+                    f"convert it with 'giajax import'"
                 )
     if not body:
         return header, [], first_row
@@ -185,7 +185,7 @@ def _check_lengths(data: bytes, path: Path, separator: str, first_row: int) -> N
         row = above - 1 + first_row if above else 1
         raise InputError(
             f"{path}: a cell in row {row} has "
-            f"{int(lengths[bad[0]]):,} characters, but may have at most {CELL_BYTES:,}: correct it"
+            f"{int(lengths[bad[0]]):,} characters, but may have at most {CELL_BYTES:,}: shorten it"
         )
 
 
@@ -419,6 +419,6 @@ def numbers_of(
             row, column = divmod(int(index), len(columns))
             raise InputError(
                 f"{columns[column]} has {shown(text, 40)} in row {row + first_row}, but must have "
-                "a number or an empty cell: correct it"
+                "a number or an empty cell: correct the cell"
             )
     return array

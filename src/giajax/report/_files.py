@@ -54,8 +54,8 @@ def check_folder(
         config: configuration of the fit, `Setup.config` from `giajax.fitting.set_up`.
 
     Raises:
-        InputError: the folder is a file, cannot be written, or (without `force`) contains the
-            result of other data, of another configuration, or of another program.
+        InputError: the folder is a file, cannot be written, or (without `force`) contains a
+            result computed from other data, with another configuration, or by another program.
     """
     folder = Path(folder)
     check_output_folder(folder)
@@ -74,12 +74,12 @@ def check_folder(
         raise InputError(f"{path} is not a giajax result: {remedy}") from None
     if checksums != [run.sha256 for run in runs]:
         names = ", ".join(str(run.get("name")) for run in record["runs"])
-        raise InputError(f"{folder} contains the result of other data ({names}): {remedy}")
+        raise InputError(f"{folder} contains a result computed from other data ({names}): {remedy}")
     if differing:
         what = ", ".join(_WORDS.get(key, key) for key in differing)
         raise InputError(
-            f"{folder} contains the result of another configuration (it differs in {what}): "
-            f"{remedy}"
+            f"{folder} contains a result computed with another configuration (it differs in "
+            f"{what}): {remedy}"
         )
 
 

@@ -95,6 +95,14 @@ def channels_together(run: Run, most: int) -> list[list[str]]:
 
 _MOST_NUMBERS = 16  # a larger matrix has no space for a number in each cell
 
+_CORRELATION_CAPTION = (
+    "Each coloured square shows the correlation coefficient of two estimates, from their "
+    "covariance matrix. Red: positive. Blue: negative. A pair with a coefficient near -1 or 1 is "
+    "strongly correlated: the data determine mainly a combination of the two parameters. Each pair "
+    "is shown once, and grey squares are the diagonal of the matrix. Parameters that the data do "
+    "not determine are omitted."
+)
+
 
 def correlation_figure(result: FitResult) -> Figure:
     """Plot the correlations between the parameters that the data determine."""
@@ -102,7 +110,8 @@ def correlation_figure(result: FitResult) -> Figure:
     matrix = np.array(result.correlation.matrix, dtype=float).reshape(len(paths), len(paths))
     size = max(0.55 * len(paths), 1.0)
     title = f"Correlation of the estimates{unfinished(result)}"
-    figure = new_figure(min(size, 11) + 3.6, min(size, 11) + 1.9, title)
+    caption = _CORRELATION_CAPTION if paths else "The data do not determine any parameter."
+    figure = new_figure(min(size, 11) + 3.6, min(size, 11) + 1.9, title, caption)
     axes = figure.subplots()
     if not paths:
         axes.set_axis_off()
@@ -246,7 +255,12 @@ def _figure(
     over, label = abscissa(run)
     # A curve is easiest to read in a square panel, and a time series in a wide one.
     height = 2.05 if run.drawn_over is None else 3.4
-    figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title)
+    hollow = held is not None and any(
+        name in held.observations for names in panels for name in names
+    )
+    several = any(len(names) > 1 for names in panels)
+    caption = _caption(line, label, several, hollow=hollow, any_recorded=any_recorded)
+    figure = new_figure(max(3.7 * columns, 6.5), max(height * rows, 2.4) + 0.6, title, caption)
     grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
     for position, axes in enumerate(grid.flat):
         if position >= len(panels):
@@ -257,12 +271,30 @@ def _figure(
         if position + columns >= len(panels):
             axes.set_xlabel(label)
             axes.tick_params(labelbottom=True)
-    hollow = held is not None and any(
-        name in held.observations for names in panels for name in names
-    )
-    several = any(len(names) > 1 for names in panels)
     _legend(figure, line, several, hollow=hollow, any_recorded=any_recorded)
     return figure
+
+
+def _caption(line: str, across: str, several: bool, *, hollow: bool, any_recorded: bool) -> str:
+    points = " or the components of one point (x: blue, y: orange-red, z: green)" * several
+    model = "fitted model" if line == "fitted" else "model"
+    parts = [
+        f"Each panel shows one channel{points} versus {across}, in the unit above the panel.",
+        f"{'Line' if several else 'Blue line'}: prediction of the {model}.",
+    ]
+    if any_recorded:
+        parts.append(f"{'Filled' if several else 'Grey'} dots: recorded values.")
+    if hollow:
+        colour = "" if several else " orange-red"
+        parts.append(f"Hollow{colour} dots: recorded values that were held out of the fit.")
+    if any_recorded or hollow:
+        which = ", without the held-out values" if any_recorded and hollow else ""
+        most = "; of several components, the largest one is given" if several else ""
+        parts.append(
+            "RMSE: root-mean-square of the differences between recorded and predicted values"
+            f"{which}{most}. Cells that were not measured are gaps between the dots."
+        )
+    return " ".join(parts)
 
 
 def _panels(run: Run) -> tuple[list[list[str]], int]:
@@ -342,6 +374,16 @@ def _legend(
     )
 
 
+_RESIDUALS_CAPTION = (
+    "Residuals are divided by the standard deviation of white noise. Upper left: residuals of all "
+    "channels of a run versus time (grey; values beyond the axis are drawn at its edge), and their "
+    "root-mean-square (RMS) in at most 40 equal intervals of time (orange-red). Upper right: "
+    "distribution of the residuals of all runs, and the standard normal density (blue). Bottom: "
+    "RMS of each channel over all runs (blue dots). Dashed lines: RMS of 1, which is expected if "
+    "only noise remains."
+)
+
+
 def residuals_figure(
     result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
 ) -> Figure:
@@ -359,7 +401,7 @@ def residuals_figure(
     )
     if shown < len(runs):
         title += f"; the first {shown} of {len(runs)} runs versus time"
-    figure = new_figure(11, 2.3 * shown + 2.9, title)
+    figure = new_figure(11, 2.3 * shown + 2.9, title, _RESIDUALS_CAPTION)
     grid = figure.add_gridspec(
         shown + 1, 2, width_ratios=[3, 1], height_ratios=[1.0] * shown + [0.9]
     )
@@ -373,6 +415,20 @@ def residuals_figure(
     _draw_distribution(figure.add_subplot(grid[:shown, 1]), everything, limit)
     _draw_by_channel(figure.add_subplot(grid[shown, :]), runs, tables)
     return figure
+
+
+_SPREAD_CAPTION = (
+    "Residuals (recorded - fitted) of the run with the largest ones, divided by the standard "
+    "deviation of white noise. Map: mean residuals in equal intervals of time for each channel "
+    "(red: positive, blue: negative)."
+)
+
+_CAUSES_CAPTION = (
+    "Bottom: component common to the channels, from the largest singular value of the residuals "
+    "and with arbitrary sign, versus the command with the largest range and related quantities. "
+    "Grey dots: samples. Orange-red: means with standard errors of groups of equal numbers of "
+    "samples."
+)
 
 
 def left_over_figure(
@@ -391,7 +447,9 @@ def left_over_figure(
     worst = int(np.argmax([np.mean(table**2) for table in tables]))
     run, table = runs[worst], tables[worst]
     causes = _causes(result, run)
-    figure = new_figure(11, 6.4, f"Residuals of {run.name} divided by the noise standard deviation")
+    title = f"Residuals of {run.name} divided by the noise standard deviation"
+    caption = f"{_SPREAD_CAPTION} {_CAUSES_CAPTION}" if causes else _SPREAD_CAPTION
+    figure = new_figure(11, 6.4, title, caption)
     grid = figure.add_gridspec(2, max(len(causes), 1))
     _draw_spread(figure.add_subplot(grid[0, :]), run, table)
     left, sizes, _ = np.linalg.svd(table, full_matrices=False)
@@ -526,7 +584,7 @@ def _draw_distribution(axes: Axes, values: np.ndarray, limit: float) -> None:
     beyond = values.size - inside.size
     if beyond:
         style: dict[str, Any] = {"fontsize": 8, "color": GREY, "ha": "right", "va": "top"}
-        text = f"{beyond} of {values.size}\nbeyond {limit:.0f}"
+        text = f"{beyond} of {values.size}\nresiduals beyond {limit:.0f}"
         axes.text(0.98, 0.98, text, transform=axes.transAxes, **style)
 
 

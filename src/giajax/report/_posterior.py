@@ -43,6 +43,21 @@ _RANKS = 20  # number of bins of ranks
 _MOST_PANELS = 12
 
 
+def _corner_caption(*, some: bool, diverging: bool) -> str:
+    kept = (
+        " Parameters whose posterior interval differs most from the linear interval are shown."
+        if some
+        else ""
+    )
+    red = " Orange-red dots: all divergent draws of the sampler." if diverging else ""
+    return (
+        "Diagonal: histograms of the draws of all chains from the posterior distribution. Dashed "
+        "lines: ends of the 95 % interval of the fit, from the Jacobian at the optimum and "
+        f"Student's t. Below the diagonal: draws of each pair of parameters, at most {_MOST_DOTS} "
+        f"(blue dots).{red}{kept}"
+    )
+
+
 def corner_figure(found: Posterior, result: FitResult) -> Figure:
     """Plot a histogram of each parameter, and dots for each pair, in the units of the columns.
 
@@ -54,9 +69,11 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
     named = _named(found, result)
     count = len(labels)
     size = max(1.7 * count, 4.2)
-    figure = new_figure(size + 1.2, size + 0.9, _title("Posterior", found, result, labels))
-    grid = figure.subplots(count, count, sharex="col", squeeze=False)
     diverging = found.diverging.ravel().astype(bool)
+    caption = _corner_caption(some=count < len(found.labels), diverging=bool(diverging.any()))
+    title = _title("Posterior", found, result, labels)
+    figure = new_figure(size + 1.2, size + 0.9, title, caption)
+    grid = figure.subplots(count, count, sharex="col", squeeze=False)
     for row, below in enumerate(labels):
         for column, across in enumerate(labels):
             axes = grid[row, column]
@@ -88,6 +105,14 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
     return figure
 
 
+_TRACE_CAPTION = (
+    "Left: draws of each chain in sequence, after its warm-up. Right: histograms of the ranks of "
+    f"the draws of each chain among the draws of all chains, in {_RANKS} equal bins. Colours "
+    "distinguish the chains. Dashed line: number of draws in each bin if the ranks are uniform. "
+    "The ranks of chains that have mixed are uniform except for random scatter."
+)
+
+
 def trace_figure(found: Posterior, result: FitResult) -> Figure:
     """Plot the draws of each chain in order, and histograms of their ranks, one line per chain.
 
@@ -98,7 +123,7 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
 
     labels = _shown(found)
     title, named = _title("Chains of the posterior", found, result, labels), _named(found, result)
-    figure = new_figure(8.5, 1.5 * len(labels) + 1.0, title)
+    figure = new_figure(8.5, 1.5 * len(labels) + 1.0, title, _TRACE_CAPTION)
     grid = figure.subplots(len(labels), 2, squeeze=False, width_ratios=(2, 1), sharex="col")
     for row, (label, draws) in zip(grid, _draws(found, result, labels).items(), strict=True):
         # Equal draws of a chain that does not move have equal ranks.
@@ -176,6 +201,15 @@ def _dots(axes: Axes, across: np.ndarray, up: np.ndarray, diverging: np.ndarray)
     axes.plot(across[diverging], up[diverging], markersize=2.6, color=VERMILLION, **style)
 
 
+_BANDS_CAPTION = (
+    "All values are relative to the median of the predictions of the posterior draws. Grey dots: "
+    "recorded values. Orange-red band: predictions from the 2.5th to the 97.5th percentile, which "
+    "represent the uncertainty of the parameters. Pale blue band: 95 % band of a recorded value, "
+    "the root sum of squares of this uncertainty and of the noise estimated by the fit. The "
+    "percentage above a panel is the fraction of the recorded values within the pale blue band."
+)
+
+
 def bands_figure(
     runs: Sequence[Run], bands: Sequence[Mapping[str, Band]], result: FitResult
 ) -> Figure:
@@ -196,7 +230,8 @@ def bands_figure(
     more = len(panels) - len(drawn)
     title = f"Posterior predictions{unfinished(result)}"
     title += f"; {more} more channels are in posterior_bands.csv" if more else ""
-    figure = new_figure(max(4.2 * columns, 6.5), 2.3 * rows + 0.7, title)
+    caption = _BANDS_CAPTION + " The channels with the lowest fractions are shown." * bool(more)
+    figure = new_figure(max(4.2 * columns, 6.5), 2.3 * rows + 0.7, title, caption)
     grid = figure.subplots(rows, columns, squeeze=False)
     for position, axes in enumerate(grid.flat):
         if position >= len(drawn):
@@ -229,7 +264,7 @@ def _draw_band(axes: Axes, run: Run, name: str, band: Band, *, several: bool) ->
     title = channel_label(channel)
     plain(axes, f"{run.name}: {title}" if several else title)
     if band.within is not None:
-        axes.set_title(f"{band.within:.1%} within", fontsize=8, loc="right", color=GREY)
+        axes.set_title(f"{band.within:.1%} in the 95 % band", fontsize=8, loc="right", color=GREY)
 
 
 POSTERIOR_HEADINGS = [

@@ -77,6 +77,21 @@ def profile_rows(profiles: Profiles, result: FitResult) -> list[list[str]]:
     return rows
 
 
+def _caption(level: float, curves: list[ProfileCurve]) -> str:
+    caption = (
+        "Each quantity was fixed at a series of values, while all other parameters were fitted "
+        "(blue dots; the blue line interpolates). The deviance is twice the increase in the cost, "
+        "divided by the variance factor of the residuals. Dashed line: its approximation from the "
+        f"standard error. Shaded: the {100 * level:.3g} % profile interval, which ends where the "
+        "deviance reaches the horizontal line (the squared quantile of Student's t), or at a bound."
+    )
+    if any(None in curve.interval for curve in curves):
+        caption += " Where an end was not found, the shading extends to the last point shown."
+    if any(curve.bounded[_shown(curve.deviances, curve.level)].any() for curve in curves):
+        caption += " Orange-red dots: another parameter is at a bound."
+    return caption
+
+
 def profile_figure(profiles: Profiles, result: FitResult, title: str = "Profiles") -> Figure:
     """Plot deviances versus their quantities, with the parabolas of the standard errors.
 
@@ -85,7 +100,8 @@ def profile_figure(profiles: Profiles, result: FitResult, title: str = "Profiles
     curves = _curves(profiles, result, _MOST)
     across = max(min(_ACROSS, len(curves)), 1)
     down = -(-max(len(curves), 1) // across)
-    figure = new_figure(3.6 * across, 2.7 * down + 0.6, title)
+    caption = _caption(profiles.level, curves)
+    figure = new_figure(3.6 * across, 2.7 * down + 0.6, title, caption)
     for axes, curve in zip(grid_of(figure, len(curves), across), curves, strict=True):
         _draw(axes, curve)
     if curves:

@@ -90,6 +90,18 @@ def _drawn(found: Bootstrap, most: int) -> list[tuple[str, Repeated]]:
     return [(path, one) for path, one in found.parameters.items() if len(one.values) > 1][:most]
 
 
+def _bootstrap_caption(found: Bootstrap) -> str:
+    noise = "resampled blocks of residuals" if found.method == "block" else "simulated noise"
+    return (
+        "Grey: histogram of the estimates of the repetitions that converged, normalised to unit "
+        f"area. Each repetition fits data that consist of the predictions of the result and {noise}"
+        ". Dashed line: estimate of the result, which is the value from which the data were "
+        "generated. Blue curve: normal distribution about this estimate with its standard error. "
+        "Orange-red bar: 95 % of the estimates, from the 2.5th to the 97.5th percentile. The "
+        "abscissa is in SI units."
+    )
+
+
 def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
     """Plot the estimates of the repetitions and their distribution expected from the result."""
     # Imported here, because the import is slow and only this picture needs it.
@@ -99,7 +111,8 @@ def bootstrap_figure(found: Bootstrap, title: str = "") -> Figure:
     across = min(_ACROSS, max(len(drawn), 1))
     down = -(-max(len(drawn), 1) // across)
     title = title or f"{found.came_back} repetitions, {found.method}"
-    figure = new_figure(3.5 * across + 0.3, 2.5 * down + 0.5, title)
+    caption = _bootstrap_caption(found) if drawn else "Histograms need at least two estimates."
+    figure = new_figure(3.5 * across + 0.3, 2.5 * down + 0.5, title, caption)
     if not drawn:
         figure.text(0.5, 0.4, "fewer than two repetitions converged", color=GREY, ha="center")
     for (path, one), axes in zip(drawn, grid_of(figure, len(drawn), across), strict=True):
@@ -237,17 +250,31 @@ def influence_summary(found: Influence) -> list[str]:
     return [*sentences, *found.notes]
 
 
+_INFLUENCE_CAPTION = (
+    "Rows: parts of the data (runs, markers, channels or spans of time) that were left out, the "
+    "part with the largest shift first. Columns: parameters. Each number is the estimate without "
+    "the part minus the estimate with all data, divided by the standard error with all data. It "
+    "follows from a new fit, or to first order from the derivatives. Red: the estimate increases "
+    "without the part. Blue: it decreases."
+)
+
+
 def influence_figure(found: Influence, title: str = "") -> Figure:
     """Plot the shifts as a map: parts by parameters, the largest shift first."""
     parts, paths = found.parts[:_MOST_PARTS], _columns(found)[:_MOST_COLUMNS]
     title = title or (
         "Parameter shifts without each part of the data, in units of the standard error"
     )
-    figure = new_figure(3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts), title)
+    wide, high = 3.2 + 1.2 * max(len(paths), 2), 1.8 + 0.26 * len(parts)
+    figure = new_figure(wide, high, title, _INFLUENCE_CAPTION)
     axes = figure.add_subplot()
     shifts = np.asarray(
         [[part.shifts.get(path, 0.0) for path in paths] for part in parts], dtype=float
     ).reshape(len(parts), len(paths))
+    if np.isnan(shifts).any():
+        figure.caption += (
+            " Grey cells (lost): without the part, the data do not determine the parameter."
+        )
     known = np.abs(shifts[np.isfinite(shifts)])
     reach = max(float(np.max(known, initial=0.0)), 1e-3)
     image = axes.imshow(shifts, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")

@@ -10,6 +10,15 @@ from ._style import BLUE, GREY, columns_of, new_figure, plain, plain_colorbar, t
 
 _MOST_NAMES = 25  # more names next to a map are not legible
 
+_CAPTION = (
+    "Each row is for one parameter, whose value is stated above the map. Left: share of each body "
+    "or channel in the Fisher information on this parameter alone, for white noise. Right: norm of "
+    "the derivative of the position of each body with respect to the parameter, versus time or "
+    "sample; bodies are in the order of the left panel, and each map has its own scale. The "
+    "expected standard error is the Cramer-Rao bound for a fit of all these parameters to all "
+    "channels."
+)
+
 
 def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: str = "") -> Figure:
     """Plot the sensitivity of each body to each parameter versus time, and its information.
@@ -21,7 +30,8 @@ def sensitivity_figure(sensitivity: Sensitivity, noise: npt.ArrayLike, title: st
     errors = sensitivity.standard_errors(noise)
     rows = len(sensitivity.parameters)
     tall = float(np.clip(0.14 * len(names) + 1.2, 2.2, 5.0))
-    figure = new_figure(10, rows * tall + 0.5, title or "Sensitivity of positions to parameters")
+    title = title or "Sensitivity of positions to parameters"
+    figure = new_figure(10, rows * tall + 0.5, title, _CAPTION)
     grid = figure.add_gridspec(rows, 2, width_ratios=[1, 3.4])
     counted = np.arange(sizes.shape[1], dtype=float)
     times = counted if sensitivity.times is None else sensitivity.times

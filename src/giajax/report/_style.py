@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-from ..runtime.pictures import SIGNATURE, Picture, picture_formats
+from ..runtime.pictures import CAPTION, SIGNATURE, Picture, picture_formats
 
 # Okabe and Ito's colours, which people with red-green colour blindness can distinguish.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -32,6 +32,9 @@ _HEADERS: dict[str, dict[str, Any]] = {
     "pdf": {"Creator": SIGNATURE, "CreationDate": None},
 }
 
+# The last line of a caption contains the signature, by which giajax recognises its own files.
+_MARK = "Drawn by the giajax fitting toolkit."
+
 _SETTINGS: Any = {
     # Text can be searched, read aloud and edited; a missing font is replaced.
     "svg.fonttype": "none",
@@ -41,11 +44,23 @@ _SETTINGS: Any = {
 }
 
 
-def new_figure(width: float, height: float, title: str) -> Figure:
+class CaptionedFigure(Figure):
+    """Figure with a caption.
+
+    Attributes:
+        caption: sentences that explain panels, symbols, colours and units to a reader who does not
+            know giajax. They are in the metadata of each file and beside further formats.
+    """
+
+    caption: str = ""
+
+
+def new_figure(width: float, height: float, title: str, caption: str) -> CaptionedFigure:
     """Return an empty figure of this size (inches)."""
     # A Figure made without pyplot has no window and selects no backend.
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    figure = CaptionedFigure(figsize=(width, height), layout="constrained", facecolor="white")
     figure.suptitle(title, fontsize=10, color=INK, x=0.01, ha="left")
+    figure.caption = caption
     return figure
 
 
@@ -97,12 +112,21 @@ def to_png(figure: Figure) -> Picture:
         figure.set_layout_engine("none")
     with matplotlib.rc_context(_SETTINGS):
         files = {each: _saved(figure, each, chosen.dpi) for each in ("png", *chosen.more)}
+    if chosen.more:
+        files[CAPTION] = f"{_caption(figure)}\n{_MARK}\n".encode()
     return Picture(files.pop("png"), files)
+
+
+def _caption(figure: Figure) -> str:
+    """Return the title and the caption of a figure as one paragraph."""
+    title = figure.get_suptitle().replace("\n", " ")
+    return f"{title}. {figure.caption}" if isinstance(figure, CaptionedFigure) else title
 
 
 def _saved(figure: Figure, ending: str, dpi: int) -> bytes:
     buffer = io.BytesIO()
-    metadata = {**_HEADERS[ending], "Title": figure.get_suptitle()}
+    caption = {"Subject" if ending == "pdf" else "Description": _caption(figure)}
+    metadata = {**_HEADERS[ending], "Title": figure.get_suptitle(), **caption}
     figure.savefig(buffer, format=ending, dpi=dpi, metadata=metadata)
     return buffer.getvalue()
 

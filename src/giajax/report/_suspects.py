@@ -29,8 +29,8 @@ SUSPECT_HEADINGS = (
     "estimate",
     "error",
     "unit",
-    "chi-square",
-    "p",
+    "change in chi-square",
+    "p-value",
     "remark",
 )
 
@@ -110,7 +110,8 @@ def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
     """Return headings and a row for each fit: its addition, fit statistics, and parameters."""
     first = list(found.steps[0].result.free)
     held_out = any(step.held_out is not None for step in found.steps)
-    headings = ["added", "chi-square", "AIC", "BIC", *(["held out"] if held_out else []), *first]
+    judged = ["held-out error"] if held_out else []
+    headings = ["added", "chi-square", "AIC", "BIC", *judged, *first]
     return headings, [
         [
             step.change,
@@ -125,7 +126,7 @@ def stepwise_table(found: StepwiseSelection) -> tuple[list[str], Rows]:
 def explained_table(found: Explanation, rows: Sequence[ExplainedStep]) -> Table:
     """Return headings and a row for each fit: its change, fit statistics, and the parameters."""
     paths = [one.path for one in found.parameters]
-    headings = ["step", "chi-square", "BIC", "p", "held out", *paths]
+    headings = ["step", "chi-square", "BIC", "p-value", "held-out error", *paths]
     return Table(
         headings,
         [
@@ -160,7 +161,10 @@ def explained_summary(found: Explanation) -> list[str]:
             f"these data ({off_first:.3g} times with the first model)"
         )
     if found.outliers:
-        sentences.append(f"{found.outliers} outliers were found: the loss is {found.loss}")
+        so = "but" if found.loss == "linear" else "so"
+        sentences.append(
+            f"{found.outliers} outliers were found, {so} the final fit uses the loss {found.loss}"
+        )
     near = ", ".join(
         f"{found.tried[i].change} ({behind(found.steps, found.tried[i])[0]:+.2g})"
         for i in found.near

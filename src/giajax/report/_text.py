@@ -96,7 +96,8 @@ def _held_out(record: HeldOut) -> list[str]:
             each = [f"{n} {_range([record.channels[n].rmse]) or 'not known'}" for n in names]
             errors = ", ".join(each)
         sizes = _range([channel.size for channel in channels])
-        allowed = f"; {sizes} times the error expected from noise and parameters" if sizes else ""
+        expected = "the error expected from noise and parameter uncertainty"
+        allowed = f"; {sizes} times {expected}" if sizes else ""
         counts = _counts(names, sum(channel.n for channel in channels))
         lines.append(f"{record.name}: RMSE {errors}{unit}{allowed}; {counts}")
     return lines

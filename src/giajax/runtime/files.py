@@ -57,7 +57,7 @@ def check_path(path: str | Path) -> None:
         ) from None
     except ValueError:
         raise InputError(
-            f"the path {shown(str(path))} has a character that is not allowed in a path: correct it"
+            f"the path {shown(str(path))} has a character that is not allowed in a path: remove it"
         ) from None
 
 
@@ -292,7 +292,9 @@ def check_unicode(data: Any, text: str) -> None:
         try:
             json.dumps(data, ensure_ascii=False).encode()
         except UnicodeEncodeError:
-            raise ValueError("a string contains an incomplete character: correct it") from None
+            raise ValueError(
+                "a string contains an incomplete character: correct the string"
+            ) from None
 
 
 def check_size(data: Any, source: str) -> None:

@@ -14,6 +14,9 @@ SIGNATURE = "giajax fit"
 FORMATS = ("png", "svg", "pdf")
 """Picture formats. A PNG file is always written, because pages and records refer to it."""
 
+CAPTION = "txt"
+"""Extension of the caption that is written beside a picture in a further format."""
+
 
 @dataclass(frozen=True)
 class PictureFormats:
@@ -21,6 +24,11 @@ class PictureFormats:
 
     more: tuple[str, ...] = ()
     dpi: int = 130
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Extensions of the files beside each PNG file: further formats and the caption."""
+        return (*self.more, CAPTION) if self.more else ()
 
 
 _USUAL = PictureFormats()
@@ -42,7 +50,7 @@ def pictures_as(formats: Sequence[str], dpi: int | None = None) -> Iterator[None
     for each in formats:
         if each not in FORMATS:
             known = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
-            raise InputError(f"--format {shown(each)} must be {known}: correct it")
+            raise InputError(f"--format is {shown(each)}: give {known}")
     more = tuple(each for each in FORMATS[1:] if each in formats)
     before = _CHOSEN.set(PictureFormats(more, _USUAL.dpi if dpi is None else dpi))
     try:
@@ -55,7 +63,7 @@ class Picture(bytes):
     """PNG file as bytes, with its other formats.
 
     Attributes:
-        others: contents of the other formats, by file extension.
+        others: contents of the other formats and the caption, by file extension.
     """
 
     others: Mapping[str, bytes]
@@ -68,8 +76,8 @@ class Picture(bytes):
 
 
 def all_pictures(names: Iterable[str | Path]) -> list[str]:
-    """Return file names, with the other selected formats after each PNG file."""
-    more = picture_formats().more
+    """Return file names, with the other selected formats and captions after each PNG file."""
+    more = picture_formats().endings
     found: dict[str, None] = {}
     for name in map(str, names):
         stem, dot, ending = name.rpartition(".")
@@ -92,7 +100,7 @@ def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
     """Remove outdated files in other formats of pictures that have been overwritten."""
     for path, data in contents.items():
         if isinstance(data, Picture):
-            for each in set(FORMATS[1:]) - set(data.others):
+            for each in {*FORMATS[1:], CAPTION} - set(data.others):
                 remove_own(path.with_suffix(f".{each}"))
 
 

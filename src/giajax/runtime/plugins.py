@@ -138,7 +138,8 @@ def load_plugin(path: Path, digest: str = "") -> None:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"the plug-in {path} cannot be imported ({type(error).__name__}: {error}): correct it"
+            f"the plug-in {path} cannot be imported ({type(error).__name__}: {error}): correct the "
+            "file"
         ) from error
     _PLUGINS[path] = found
 

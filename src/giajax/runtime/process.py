@@ -215,7 +215,7 @@ def _say_of_cache(show: Callable[..., None]) -> Callable[..., None]:
             why = " ".join(str(message).partition(": ")[2].split())
             _note(
                 f"compiled programs in {compilation_cache()[0]} cannot be read or written ({why}), "
-                "so programs are compiled again: see giajax cache"
+                "so programs are compiled again: see 'giajax cache'"
             )
 
     return shown

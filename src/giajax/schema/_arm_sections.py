@@ -81,9 +81,7 @@ class PinholeSection(Section):
         digits = None if place is None else place[1]
         whole = digits is None or (0 < int(digits) <= MOST_LINKS and digits == f"{int(digits):02d}")
         if mount is not None and not (place and whole):
-            raise ValueError(
-                f'is {mount!r}, but must be "room", "tip" or a link such as "link06": correct it'
-            )
+            raise ValueError(f'is {mount!r}: give "room", "tip" or a link such as "link06"')
         return mount
 
     @property
@@ -384,7 +382,7 @@ def _known_law(role: str, *words: str) -> AfterValidator:
             listed = "".join(f'"{each}", ' for each in words).removesuffix(", ")
             raise ValueError(
                 f"= {word!r} must be {listed}{' or ' * bool(words)}a registered "
-                f"{'law' if words else role}: correct it, or give "
+                f"{'law' if words else role}: correct the name, or give "
                 "--plugin FILE.py"
             )
         return word
@@ -544,7 +542,7 @@ class ArmSection(_Surroundings):
     @classmethod
     def _axes_have_a_direction(cls, axes: Any) -> Any:
         if isinstance(axes, list) and [0.0, 0.0, 0.0] in axes:
-            raise ValueError("has the axis [0, 0, 0], but the axis must not be zero: correct it")
+            raise ValueError("has the axis [0, 0, 0]: give an axis of non-zero length")
         return axes
 
     @model_validator(mode="after")
@@ -609,8 +607,8 @@ _SENSORS = ("gyroscope", "accelerometer", "inclinometer", "tension", "curvature"
 def _known_sensor(word: str) -> str:
     if word not in _SENSORS and registered("sensor", word) is None:
         raise ValueError(
-            f"{word!r} must be {', '.join(_SENSORS)} or a registered sensor: correct it, or give "
-            "--plugin FILE.py"
+            f"{word!r} must be {', '.join(_SENSORS)} or a registered sensor: correct the name, or "
+            "give --plugin FILE.py"
         )
     return word
 

@@ -27,7 +27,10 @@ _WORDS = re.compile(rf"(?:\s*(?:{_DIGITS}(?![A-Za-z0-9_.])|{_NAME}|[-+*/()\[\].]
 _SIGNS: dict[type[ast.AST], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _OPERATORS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
 
-_MADE_OF = f"numbers, parameter paths, + - * /, parentheses and {', '.join(_FUNCTIONS)}: correct it"
+_MADE_OF = (
+    f"numbers, parameter paths, + - * /, parentheses and {', '.join(_FUNCTIONS)}: remove "
+    "everything else"
+)
 
 # A number, ("path", name), or an operator or function with its operands.
 _Node = float | tuple[Any, ...]

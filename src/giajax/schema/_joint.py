@@ -471,7 +471,7 @@ def _check_joint(content: RecordedRun, naming: Naming) -> None:
         row = beyond[0]
         raise InputError(
             f"{naming.source}: {naming.of(channels['angle'])} is {np.rad2deg(angle[row]):.4g} "
-            f"deg in {naming.at(row)}, but a joint bends by at most 90 deg: correct it"
+            f"deg in {naming.at(row)}, but a joint bends by at most 90 deg: correct the angle"
         )
 
 
@@ -656,7 +656,7 @@ class HysteresisSection(Section):
     @classmethod
     def _range_is_one(cls, ends: Any) -> Any:
         if ends is not None and not ends[0] < ends[1]:
-            raise ValueError(f"is {ends}, but must have the lower number first: correct it")
+            raise ValueError(f"is {ends}: give two different numbers, the lower one first")
         return ends
 
 

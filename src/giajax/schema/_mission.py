@@ -114,10 +114,12 @@ class MissionSection(Section):
     camera: Name | None = key("the name of a camera", "camera at the tip that the operator uses")
     beyond_m: Positive = key(
         POSITIVE,
-        "distance behind the outer face of the wall beyond which the tip is considered inside",
+        "distance behind the outer face of the wall beyond which the tip is inside the opening",
         default=0.5,
     )
-    hold_s: NotNegative = key(NOT_NEGATIVE, "time for which the tip must stay inside", default=3.0)
+    hold_s: NotNegative = key(
+        NOT_NEGATIVE, "time for which the tip must stay inside the opening", default=3.0
+    )
     limit_s: Annotated[float, Field(gt=0, le=36_000, allow_inf_nan=False)] = key(
         "a positive number up to 36000", "time limit of the mission", default=720.0
     )

@@ -439,7 +439,7 @@ def as_in(model: Module, other: Module, names: Iterable[str]) -> Module:
         raise InputError(
             f"the model has no parameter or group called '{min(unknown)}': give "
             f"{', '.join(groups)}, or a path "
-            "that giajax parameters lists"
+            "that 'giajax parameters' lists"
         )
     return found
 

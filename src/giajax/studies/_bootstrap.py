@@ -71,7 +71,7 @@ class Bootstrap(
     StudyRecord,
     file="bootstrap.json",
     head={"schema_version": 1},
-    remedy="run giajax bootstrap again",
+    remedy="run 'giajax bootstrap' again",
 ):
     """Check of the standard errors and intervals of a fit by repetitions.
 

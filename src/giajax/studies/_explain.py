@@ -210,7 +210,7 @@ class Kept(AbstractFits):
         return load_result(self.folder / FITS / line["fit"])
 
 
-_REMEDY = "remove it, and run giajax explain again"
+_REMEDY = "remove it, and run 'giajax explain' again"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -356,7 +356,9 @@ def explain(
         one = Measured.of(begun, fitted, apart)
         outliers = sum(int(np.sum(found)) for found in outlying(one.at))
         if outliers and result.loss.is_linear:
-            kept.say(f"{outliers} outliers were found: the loss is now {ROBUST}")
+            kept.say(
+                f"{outliers} outliers were found, so the fit is repeated with the loss {ROBUST}"
+            )
             begun = kept.refit(
                 f"the first model with the loss {ROBUST}", begun, fitted, loss=ROBUST
             )

@@ -75,7 +75,7 @@ class Explanation(
     StudyRecord,
     file="explain.json",
     head={"explain_version": 1},
-    remedy="run giajax explain again",
+    remedy="run 'giajax explain' again",
 ):
     """Effects that a run requires beyond the assumed model, step by step.
 

@@ -78,7 +78,7 @@ class Influence(
     StudyRecord,
     file="influence.json",
     head={"schema_version": 1},
-    remedy="run giajax influence again",
+    remedy="run 'giajax influence' again",
 ):
     """Influence of each part of the data on the parameters of a fit.
 

@@ -196,7 +196,7 @@ def posterior(
     channel responds are fixed at their fitted values.
 
     Arguments:
-        result, runs: result of a fit and the fitted runs, in the same order.
+        result, runs: fit result and the fitted runs, in the same order.
         chains: number of chains, each of which is a task; after Ctrl-C the completed chains are
             used.
         draws: number of draws of each chain that are kept.

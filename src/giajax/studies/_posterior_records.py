@@ -227,7 +227,8 @@ def doubts(
     if chains < asked:
         why = f" ({failed[0]})" if failed else ""
         sentences.append(
-            f"{asked - chains} of {asked} chains were not sampled{why}: run giajax posterior again"
+            f"{asked - chains} of {asked} chains were not sampled{why}: run 'giajax posterior' "
+            "again"
         )
     known = {label: one for label, one in marginals.items() if one.r_hat is not None}
     if stuck := [label for label in marginals if label not in known]:
@@ -273,8 +274,8 @@ class Band:
             of the parameters.
         noise: standard deviation of a recorded cell, as estimated by the fit; larger than stated if
             the residuals exceed the stated noise.
-        within: fraction of the recorded cells within the 95 % band of noise and parameters
-            together; None if nothing was recorded.
+        within: fraction of the recorded cells within the 95 % band of noise and parameter
+            uncertainty together; None if nothing was recorded.
     """
 
     median: Float[np.ndarray, " sample"]
@@ -295,7 +296,7 @@ class PosteriorSummary(
     StudyRecord,
     file="posterior.json",
     head={"giajax_posterior": 1},
-    remedy="run giajax posterior again",
+    remedy="run 'giajax posterior' again",
     indent=2,
 ):
     """Contents of `posterior.json`.

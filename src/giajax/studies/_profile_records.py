@@ -92,7 +92,7 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class Profiles(
-    StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="run giajax profile again"
+    StudyRecord, file=PROFILES, head={"giajax_profiles": 1}, remedy="run 'giajax profile' again"
 ):
     """Profiles of the quantities of a fit.
 
@@ -126,10 +126,10 @@ def load_profiles(path: str | Path) -> Profiles:
     try:
         text = read_bytes(path, RESULT_BYTES)
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist: create it with giajax profile") from None
+        raise InputError(f"{path} does not exist: create it with 'giajax profile'") from None
     except OSError as error:
-        raise InputError(f"{what} ({error.strerror}): run giajax profile again") from None
-    return parse_record(Profiles, text, Profiles.head, what, "run giajax profile again")
+        raise InputError(f"{what} ({error.strerror}): run 'giajax profile' again") from None
+    return parse_record(Profiles, text, Profiles.head, what, "run 'giajax profile' again")
 
 
 # A deviance that is lower than that of the fit by more than this is not a rounding error.

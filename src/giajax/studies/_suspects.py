@@ -166,8 +166,8 @@ def _doubt(row: Suspect, path: str, by: float, result: FitResult) -> str:
     if row.kind == "switch":
         return (
             f"the choice '{row.path}' lowers chi-square by {row.chi_square_drop:.3g} and changes "
-            f"{path} by {by:+.2g} times its standard error: use it (giajax suspects lists all "
-            "choices)"
+            f"{path} by {by:+.2g} times its standard error: use it (run 'giajax suspects' to list "
+            "all choices)"
         )
     values, errors = (
         np.atleast_1d(np.array(row.estimate)),

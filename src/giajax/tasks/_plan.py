@@ -109,17 +109,19 @@ def _listed(value: Any, where: str) -> list[Any]:
         return value
     if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= set(RANGE):
         raise InputError(
-            f"{where} = {shown(value)} must be a list of values, or a range such as "
-            "{ from = 0.5, to = 1.5, count = 5 }: correct it"
+            f"{where} is {shown(value)}: give a list of values, or a range such as "
+            "{ from = 0.5, to = 1.5, count = 5 }"
         )
     low, high, count = value["from"], value["to"], value["count"]
     if type(count) is int:
         check_count(count, where)
     if not (_is_number(low) and _is_number(high) and type(count) is int and count > 0):
-        raise InputError(f"{where} must give two numbers and a positive count: correct it")
+        raise InputError(f"{where} is not a valid range: give two numbers and a positive count")
     logarithmic = value.get("log", False)
     if logarithmic and not min(low, high) > 0:
-        raise InputError(f"{where} is logarithmic, so both ends must be positive: correct them")
+        raise InputError(
+            f"{where} is logarithmic, but not positive at both ends: give positive ends"
+        )
     # Integers stay integers if all values are, because some keys require them.
     steps = max(count - 1, 1)
     if type(low) is type(high) is int and not logarithmic and (high - low) % steps == 0:
@@ -143,14 +145,12 @@ def sample_cases(section: Mapping[str, Any], where: str) -> list[Case]:
             "seed, method, start, fix)"
         )
     if type(count) is not int or count < 1:
-        raise InputError(
-            f"{where}: count must be a positive number of draws, such as 64: correct it"
-        )
+        raise InputError(f"{where} has no valid count: give a positive number of draws, such as 64")
     check_count(count, where)
     if type(seed) is not int or seed < 0:
-        raise InputError(f"{where}: seed must be zero or a positive whole number: correct it")
+        raise InputError(f"{where} has no valid seed: give zero or a positive whole number")
     if method not in _METHODS:
-        raise InputError(f"{where}: method must be {one_of(map(repr, _METHODS))}: correct it")
+        raise InputError(f"{where} has an unknown method: give {one_of(map(repr, _METHODS))}")
     columns = columns_of(rest, where)
     if not columns:
         raise InputError(f"{where} draws nothing: add fix or start with a distribution")
@@ -175,16 +175,20 @@ def _drawn(value: Any, points: np.ndarray, where: str) -> Iterator[float]:
     ends = value[kind] if kind in DRAWS else None
     if not (isinstance(ends, list) and len(ends) == 2 and all(map(_is_number, ends))):
         forms = one_of(f"{name} = {form}" for name, form in DRAWS.items())
-        raise InputError(f"{where} = {shown(value)} must be a table of {forms}: correct it")
+        raise InputError(f"{where} is {shown(value)}: give a table of {forms}")
     low, high = map(float, ends)
     if kind == "normal":
         if not high > 0:
-            raise InputError(f"{where} must have a positive standard deviation: correct it")
+            raise InputError(
+                f"{where} has the deviation {high:g}: give a positive standard deviation"
+            )
         from scipy.special import ndtri
 
         return iter((low + high * ndtri(points)).tolist())
     if not low < high or (kind == "log_uniform" and low <= 0):
-        raise InputError(f"{where} must give the lower end first, {DRAWS[kind or '']}: correct it")
+        raise InputError(
+            f"{where} is {shown(value)}: give the lower end first, {DRAWS[kind or '']}"
+        )
     if kind == "log_uniform":
         return iter(np.exp(math.log(low) + points * math.log(high / low)).tolist())
     return iter((low + points * (high - low)).tolist())
@@ -199,10 +203,12 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
     for name, kind in (("grid", dict), ("sample", dict), ("list", list)):
         if not isinstance(data.get(name, kind()), kind):
             what = "a list of tables, [[list]]" if kind is list else f"a table, [{name}]"
-            raise InputError(f"{source}: {name} must be {what}: correct it")
+            raise InputError(f"{source}: {name} has the wrong type: give {what}")
     rows = data.get("list", [{}])
     if not rows or not all(isinstance(row, Mapping) for row in rows):
-        raise InputError(f"{source}: list must be a list of tables, [[list]]: correct it")
+        raise InputError(
+            f"{source}: list does not consist of tables: give a list of tables, [[list]]"
+        )
     listed = [_row(row, f"{source}, [[list]]") for row in rows]
     drawn: list[Case] = [{}]
     if "sample" in data:
@@ -287,7 +293,7 @@ class Plan:
                 f"{', '.join(_KEYS)})"
             )
         if data.get("schema_version", 1) != 1:
-            raise InputError(f"{source}: schema_version must be 1: correct it")
+            raise InputError(f"{source}: schema_version is not 1: set it to 1")
         if ("fit" in data) == ("data" in data):
             raise InputError(
                 f"{source} must have either fit (a fit definition) or data (a list of runs): give "
@@ -295,14 +301,16 @@ class Plan:
             )
         if "fit" in data:
             if not isinstance(data["fit"], str):
-                raise InputError(f"{source}: fit must be the name of a fit definition: correct it")
+                raise InputError(
+                    f"{source}: fit is not a string: give the name of a fit definition"
+                )
             base = _base(folder / data["fit"])
         else:
             Definition.parse({"fit": {"data": data["data"]}}, source)
             base = FitTask.of([folder / name for name in data["data"]])
         out = data.get("out")
         if not isinstance(out, str | None):
-            raise InputError(f"{source}: out must be the name of a folder: correct it")
+            raise InputError(f"{source}: out is not a string: give the name of a folder")
         cases = cases_of(data, source)
         plan = cls(base, tuple(cases), None if out is None else Path(out))
         # Keys and types of values are checked before the first fit begins. Each fit checks whether

@@ -273,7 +273,7 @@ def test_a_free_first_state_is_a_nuisance():
     [
         (["--parameter", "air.drag"], "did you mean 'air.drag_coefficient'?"),
         (["--parameter", DRAG, "--joints", "3"], "the arm has only joints 1 to 2"),
-        (["--parameter", DRAG, "--joints", "1;2"], "must be numbers"),
+        (["--parameter", DRAG, "--joints", "1;2"], "give numbers"),
         (["--parameter", DRAG, "--max-angle", "0"], "the largest angle is 0"),
         (
             ["--parameter", DRAG, "--markers", "9"],

@@ -195,6 +195,9 @@ def test_the_usual_pad_bends_base_and_tip():
     tips = np.flatnonzero(usual.rates({3: 1.0, 2: 1.0}, 20))
     assert tips.tolist() == list(range(14, 20))
     assert PadMapping.usual(1).rates({1: -1.0}, 1) > 0
+    # Equal presets are left out: one joint cannot yaw, and two have no third at the tip.
+    assert list(PadMapping.usual(1).presets) == ["straight", "raised", "lowered"]
+    assert list(PadMapping.usual(2).presets)[3:] == ["to the left", "to the right"]
 
 
 @pytest.mark.parametrize(

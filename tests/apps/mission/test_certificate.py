@@ -82,7 +82,7 @@ def test_of_a_long_recording_the_end_counts():
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"seconds": 12.0}, "lasts 12\\.0 s: record the resting arm for at least 30 s"),
+        ({"seconds": 12.0}, "lasts only 12\\.0 s: record the resting arm for at least 30 s"),
         ({"commands": {"joint03_command": np.deg2rad(20)}}, r"joint03_command .* is 20\.0 deg"),
         (
             {"joint02_command": np.linspace(0, 0.2, 601)},
@@ -270,4 +270,4 @@ def test_flights_can_be_stopped_and_a_camera_stops_after_the_rest(recording):
     assert calm[0].case.reached is not None
     blind = small_mission(mission__limit_s=40.0, mission__camera_stops_s=0.0)
     (never,) = fly_rested(blind, found, (0.1, 0.11), 1, seed=3)
-    assert never.case.reason == "the camera stopped before the tip was inside"
+    assert never.case.reason == "the camera stopped before the tip was inside the opening"

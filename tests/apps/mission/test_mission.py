@@ -200,7 +200,7 @@ def test_reasons_are_those_of_the_rows():
     assert "never came" in _reason(Seen(none, none), True, 1.0)
     assert "did not stay" in _reason(Seen(some, some), True, 0.1)
     assert "did not reach the opening" in _reason(Seen(some, none), True, 2.0)
-    assert "close, but did not enter" in _reason(Seen(some, none), True, 0.5)
+    assert "close to the opening, but did not enter it" in _reason(Seen(some, none), True, 0.5)
 
 
 def test_both_readings_are_14_m():

@@ -165,7 +165,7 @@ def test_it_knows_no_more_than_pictures_show(flown):
     one, other = blind.fly(1), soft.in_wind(0.3).fly(2, drawn=blind)
     assert np.linalg.norm(one.tip[-1] - other.tip[-1]) > 0.1
     assert_allclose(one.command, other.command, atol=1e-12)
-    assert one.reason == "the camera stopped before the tip was inside"
+    assert one.reason == "the camera stopped before the tip was inside the opening"
     assert one.corners.max() == 0
     # Until the first picture arrives, the commands with and without pictures are the same.
     seen = int(np.argmax(flown.corners >= 1))
@@ -182,7 +182,7 @@ def test_a_camera_that_stops_ends_in_the_safe_state(flown):
     stopped = small_mission(mission__camera_stops_s=15.0).fly(1)
     assert_allclose(stopped.command[:150], flown.command[:150], atol=1e-12)
     assert stopped.reached is None
-    assert stopped.reason == "the camera stopped before the tip was inside"
+    assert stopped.reason == "the camera stopped before the tip was inside the opening"
     late = stopped.command[-100:]
     assert np.abs(np.diff(late, axis=0)).max() / 0.1 < np.deg2rad(0.2)
 

@@ -151,7 +151,7 @@ def test_directions_are_told():
     np.testing.assert_allclose(sizes[:3], [7, 3 * np.sqrt(2), 0], atol=1e-12)
     np.testing.assert_allclose(rows[0], np.eye(8)[2], atol=1e-12)
     table = shown([end])
-    assert "none of 1 searches reach" in table.title
+    assert "none of 1 searches reproduce" in table.title
     assert "2.0 percentage points" in table.title
     record = json.loads(reproduced_files("x", table)["x.json"])["searches"][0]
     assert record["directions"][:2] == ["drag^1.00", "stiffness^0.71 damping^0.71"]

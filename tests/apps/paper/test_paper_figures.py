@@ -37,7 +37,7 @@ def test_the_command_knows_every_figure():
 
 @pytest.fixture
 def shown():
-    figure = new_figure(4, 3, "A title")
+    figure = new_figure(4, 3, "A title", "A line.")
     figure.subplots().plot([0, 1], [0, 1])
     return Reproduced(
         "A <title>",

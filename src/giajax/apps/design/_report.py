@@ -16,7 +16,10 @@ from ...runtime.records import plain_data
 from ...studies import body_of
 from ._experiment import Design, Expected
 
-DESIGN_HEADINGS = ("parameter", "value", "design", "base step", "ratio", "previous fit", "unit")
+DESIGN_HEADINGS = (
+    *("parameter", "value", "error, design", "error, base step", "ratio"),
+    *("error, previous fit", "unit"),
+)
 _STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
 _MOST_NAMES = 12
 
@@ -78,10 +81,21 @@ def _expected_json(expected: Expected) -> dict[str, Any]:
     }
 
 
+_CAPTION = (
+    "The designed experiment (blue) and the base step (orange-red, dashed), in which one joint "
+    "moves to the largest angle at the largest rate. Top left: commands; later joints are paler. "
+    "Bottom left: predicted motion of the outermost body, for the component that moves most. "
+    "Right: expected standard errors of the estimates divided by the values of the parameters, for "
+    "the design (circles) and the base step (squares), each with the markers selected for it."
+)
+
+
 def design_figure(found: Design, title: str = "") -> Figure:
     """Draw the command, the motion of the outermost marker, and the expected errors."""
     rows = min(len(found.parameters), _MOST_NAMES)
-    figure = new_figure(10, max(4.6, 2.6 + 0.4 * rows), title or "The next experiment")
+    caption = _CAPTION + (" Grey diamonds: errors of the previous fit." if found.before else "")
+    title = title or "The next experiment"
+    figure = new_figure(10, max(4.6, 2.6 + 0.4 * rows), title, caption)
     grid = figure.add_gridspec(2, 2, width_ratios=[3, 2])
     both = (found.designed, found.base_step)
     _commands(figure.add_subplot(grid[0, 0]), both)

@@ -190,7 +190,7 @@ def knotted(
 
 
 def base_step(limits: Limits, knots: int) -> "Command":
-    """Return the paper's experiment: one joint moves to the largest angle at the largest rate.
+    """Return the paper's experiment: one joint moves to its largest angle at its largest rate.
 
     The joint is joint 1 if it may move, else the first joint that may. Knots beyond the three
     corners come after the end, so that all commands share one compiled program.

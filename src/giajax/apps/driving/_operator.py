@@ -63,7 +63,8 @@ class PadMapping:
 
         Odd joints of the arm pitch and even joints yaw. The left stick bends the third of the arm
         at its base, and the right stick the third at its tip. Each preset bends one of these
-        thirds, and straightens all other joints.
+        thirds, and straightens all other joints. Of equal presets of a short arm, only the first
+        is included.
         """
         third = max(joints // 3, 2)
 
@@ -87,6 +88,9 @@ class PadMapping:
             "to the right": turned(1, third, -_ASIDE / len(range(1, third, 2))),
             "tip up": turned(start, joints, _RAISED / max(len(range(start, joints, 2)), 1)),
         }
+        # A short arm has no joint that yaws, or no third of its own at the tip.
+        different = {angles.tobytes(): name for name, angles in reversed(presets.items())}
+        presets = {name: row for name, row in presets.items() if name in different.values()}
         return cls(axes, presets, {_SOUTH: "straight"}, frozenset({_EAST}))
 
     @classmethod

@@ -134,15 +134,26 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
     return dict(zip(names, map(np.concatenate, zip(*parts, strict=True)), strict=True))
 
 
+_CAPTION = (
+    "Top: mass of gas in the arm, and highest (orange-red) and lowest (blue) gauge pressure of all "
+    "links. At the dashed line the pressure force on the largest cross-section equals the maximum "
+    "pull of one muscle. The background alternates between phases, and long phases are labelled. "
+    "Lower left: energy gained (blue), energy lost or delivered (orange-red), and magnitude of the "
+    "change of stored energy (green) in each phase. Values below 1e-6 J are drawn as 1e-6 J. Lower "
+    "right: work during the mission. Negative work takes energy from the motion."
+)
+
+
 def life_figure(life: Life) -> Figure:
     """Plot the gas and the pressures versus time, the energies, and the works of the mission."""
-    title = f"Life cycle of {life.mission.model.arm.count} links: {life.duration / _MINUTE:.1f} min"
-    figure = new_figure(10.0, 7.0, title)
+    links = life.mission.model.arm.count
+    title = f"Life cycle of an arm with {links} links: duration {life.duration / _MINUTE:.1f} min"
+    figure = new_figure(10.0, 7.0, title, _CAPTION)
     rows = _gas_rows(life)
     minutes = rows["time"] / _MINUTE
     axes = figure.add_subplot(2, 2, 1)
     axes.plot(minutes, rows["gas"] * 1e3, color=BLUE, linewidth=1.4)
-    plain(axes, "Gas in the arm", "time (min)", "g")
+    plain(axes, "Gas in the arm", "time (min)", "mass (g)")
     _mark(axes, life)
     axes = figure.add_subplot(2, 2, 2)
     axes.plot(minutes, rows["most"], color=VERMILLION, linewidth=1.2, label="highest")
@@ -187,7 +198,7 @@ def _energies(axes: Axes, life: Life) -> None:
     axes.set_yscale("log")
     axes.set_xticks(places, [each.name for each in life.phases], rotation=45, ha="right")
     axes.legend(fontsize=7, frameon=False)
-    plain(axes, "Energies in each phase", "", "J")
+    plain(axes, "Energies in each phase", "", "energy (J)")
     axes.tick_params(which="both", labelsize=7)
 
 
@@ -199,7 +210,7 @@ def _works(axes: Axes, life: Life) -> None:
             axes.plot(life.outcome.times, row, color=next(colours), linewidth=1.2, label=name)
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.legend(fontsize=7, frameon=False)
-    plain(axes, "Work done on the arm during the mission", "time (s)", "J")
+    plain(axes, "Work done on the arm during the mission", "time (s)", "work (J)")
 
 
 _FRAMES = 40  # number of frames of a phase without a flight

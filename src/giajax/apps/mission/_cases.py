@@ -23,7 +23,7 @@ class Case:
     Attributes:
         wind: wind speed, m/s.
         seed: seed of the mission.
-        reached: time until the tip was inside, s; None if it failed.
+        reached: time until the tip was inside the opening, s; None if the mission failed.
         reason: reason of the failure; empty if the mission succeeded.
         flattening: largest flattening of a link, m.
         force: largest contact force on a link, N.
@@ -56,12 +56,12 @@ class Tally:
 
     @property
     def times(self) -> list[float]:
-        """Times until the tip was inside, of the successful missions, s."""
+        """Times until the tip was inside the opening, of the successful missions, s."""
         return [case.reached for case in self.cases if case.reached is not None]
 
     @property
     def inside(self) -> int:
-        """Number of missions in which the tip was inside."""
+        """Number of missions in which the tip was inside the opening."""
         return len(self.times)
 
     @property

@@ -130,7 +130,7 @@ class Resting:
         times = run.times - run.times[-1]
         if -times[0] < _SHORTEST:
             raise InputError(
-                f"'{run.name}' lasts {-times[0]:.1f} s: record the resting arm for at least "
+                f"'{run.name}' lasts only {-times[0]:.1f} s: record the resting arm for at least "
                 f"{_SHORTEST:g} s, preferably for a minute"
             )
         late = times >= -_LONGEST
@@ -279,7 +279,10 @@ def fly_rested(
         drawn = waiting.in_wind(air).case(seed)
         outcome = drawn.fly(seed, drawn=waiting)
         if outcome.reached is not None and outcome.reached <= rest:
-            raise InputError("the tip is already inside while the arm rests: give another opening")
+            raise InputError(
+                "the tip is already inside the opening when the arm is at rest: give another "
+                "opening"
+            )
         shown = resting.like(drawn, outcome, random).shown()
         if outcome.reached is not None:
             outcome = dataclasses.replace(outcome, reached=outcome.reached - rest)
@@ -293,7 +296,7 @@ class Certificate:
     """Probability of success of a mission, given a recording of the arm at rest.
 
     Attributes:
-        chance: probability that the tip is inside in time.
+        chance: probability that the tip is inside the opening in time.
         interval: 95 % confidence interval of the probability due to the finite number of missions;
             it does not include the error of the logistic model.
         near: tenth of all missions whose rests are nearest to the recording.

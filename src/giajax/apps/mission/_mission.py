@@ -68,7 +68,7 @@ class Rows(NamedTuple):
         time: time, s.
         state: state of the joints and of the contacts, as in `Moment`.
         pressing: contact force of obstacles on each link, N.
-        inside: time for which the tip has been inside, s.
+        inside: time for which the tip has been inside the opening, s.
     """
 
     time: Float[Array, " row"]
@@ -85,8 +85,8 @@ class Task(NamedTuple):
     """Criterion of success of a mission, and tolerance of its simulation.
 
     Attributes:
-        beyond: depth behind the outer face from which on the tip counts as inside, m.
-        hold: time for which it must be inside, s.
+        beyond: depth behind the outer face from which on the tip counts as inside the opening, m.
+        hold: time for which the tip must be inside the opening, s.
         tolerance: tolerance of the integration, as in `Stepper`.
     """
 
@@ -102,7 +102,7 @@ class _Now(NamedTuple):
         moment: current state of the arm.
         pictures: pictures that have not arrived yet, the oldest first.
         memory: memory of the controller.
-        inside: time for which the tip has been inside, s.
+        inside: time for which the tip has been inside the opening, s.
     """
 
     moment: Moment
@@ -220,7 +220,8 @@ class Outcome:
     """Outcome of a mission.
 
     Attributes:
-        reached: time from which on the tip was inside, s; None if it was not, or not long enough.
+        reached: time from which on the tip was inside the opening, s; None if it was not, or not
+            long enough.
         reason: reason of the failure; empty if the mission succeeded.
         nearest: smallest distance of the tip from the middle of the opening, m.
         touched: contacts with each obstacle.
@@ -286,7 +287,7 @@ def outcome_of(mission: "Mission", rows: Rows, wind: Float[np.ndarray, "row widt
     if fails and not mission.enters:
         reason = "the mission was only to hold the tip in front of the opening"
     elif fails and stops is not None and not np.any(table.inside[table.time <= stops] > 0):
-        reason = "the camera stopped before the tip was inside"
+        reason = "the camera stopped before the tip was inside the opening"
     return Outcome(
         reached=reached,
         reason=reason,
@@ -315,10 +316,10 @@ def _reason(rows: Rows, sound: bool, nearest: float) -> str:
     if not np.any(rows.corners >= 2):
         return "the opening never came into view"
     if np.any(rows.inside > 0):
-        return "the tip entered, but did not stay inside"
+        return "the tip entered the opening, but did not stay inside it"
     if nearest > 1.5:
         return "the tip did not reach the opening"
-    return "the tip came close, but did not enter"
+    return "the tip came close to the opening, but did not enter it"
 
 
 def _touched(arm: Arm, rows: Rows) -> tuple[Touched, ...]:
@@ -379,7 +380,7 @@ class Mission:
         camera: camera at the tip.
         controller: controller of the arm.
         driver: name of the controller in files.
-        enters: whether the tip enters; if False, it stays in front of the opening.
+        enters: whether the tip enters the opening; if False, it stays in front of the opening.
     """
 
     model: ArmModel
@@ -417,7 +418,7 @@ class Mission:
         section = definition.mission
         if section is None:
             raise InputError(
-                f"{source} has no [mission]: add one (giajax mission --help shows an example)"
+                f"{source} has no [mission]: add one ('giajax mission --help' shows an example)"
             )
         model = ArmModel.stated_in(definition) if model is None else model
         opening = opening_of(model.arm, section.opening)
@@ -513,7 +514,7 @@ class Mission:
         error = section.operator.pixel_px * random.normal(size=(len(wind) - 1, 4, 2))
         if section.camera_stops_s is not None:
             error[self.times[:-1] >= section.camera_stops_s] = np.nan
-        # A mission that holds the tip in front of the opening does not end when the tip is inside.
+        # A mission that holds the tip in front of the opening does not end when the tip enters it.
         numbers = (section.beyond_m, section.hold_s if self.enters else np.inf, _TOLERANCE)
         known = (self if drawn is None else drawn).model.arm
         rows = flight(

@@ -221,7 +221,7 @@ class Operator(AbstractController):
         stand_off: distance in front of the opening at which the tip moves to its axis, m.
         patience: longest time without the opening in view, s.
         near: distance from the axis of the opening within which the tip enters, m.
-        deep: target depth of the tip inside, m.
+        deep: target depth of the tip inside the opening, m.
         closing: desired speed divided by the distance from the target, 1/s.
         push: commanded velocity divided by the missing velocity.
         looking: rate at which the camera is turned towards its aim point, 1/s.
@@ -327,7 +327,7 @@ class Operator(AbstractController):
         tip = scene.camera.mounted_at(sight.view) + self.latency * velocity
         local = opening.local(tip)
         outside = opening.outside(local, near=self.near, stand_off=self.stand_off, deep=self.deep)
-        # A tip that is inside stays inside.
+        # A tip that is inside the opening stays inside it.
         outside = jnp.where(local[0] < -opening.thickness, -self.deep, outside)
         wanted = self.closing * jnp.concatenate([(outside - local[0])[None], -local[1:]])
         wanted = wanted / jnp.maximum(1, safe_norm(wanted) / self.speed)

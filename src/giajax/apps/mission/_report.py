@@ -76,17 +76,27 @@ def mission_json(mission: Mission, outcome: Outcome) -> str:
     return json.dumps(plain_data(facts), indent=2)
 
 
+_MISSION_CAPTION = (
+    "Left: the arm at up to six equally spaced times, light at the start and dark at the end, with "
+    "the path of the tip (dotted), obstacles (grey) and the opening (orange-red). Upper right: "
+    "distance of the tip from the outer plane of the opening (blue circles) and from its axis "
+    "(orange-red squares). Dotted lines are estimates of the controller. The dashed line is the "
+    "depth from which the tip counts as inside. In grey intervals the camera sees at least two "
+    "corners of the opening. Lower right: commanded joint angles, with the largest ranges in "
+    "colour."
+)
+
+
 def mission_figure(mission: Mission, outcome: Outcome) -> Figure:
     """Plot the arm from the side and from above, the path of the tip, and the commands."""
     how = f"opening not reached: {outcome.reason}"
     if not mission.enters and np.isfinite(outcome.swing):
         how = f"tip held in front of the opening to within {outcome.swing:.2f} m"
     elif outcome.reached is not None:
-        how = f"tip inside after {outcome.reached:.0f} s"
+        how = f"tip inside the opening after {outcome.reached:.0f} s"
     wind = mission.section.wind.speed_m_per_s
-    figure = new_figure(
-        11.0, 7.0, f"Mission, wind {wind:g} m/s, controller {mission.driver}: {how}"
-    )
+    title = f"Mission, wind {wind:g} m/s, controller {mission.driver}: {how}"
+    figure = new_figure(11.0, 7.0, title, _MISSION_CAPTION)
     grid = figure.add_gridspec(4, 2)
     _shapes(figure.add_subplot(grid[:3, 0]), mission, outcome, "xz")
     _shapes(figure.add_subplot(grid[3, 0]), mission, outcome, "xy")
@@ -216,8 +226,17 @@ def cases_json(mission: Mission, cases: Cases) -> str:
 
 def cases_figure(mission: Mission, cases: Cases) -> Figure:
     """Plot the probability of success and the times to success versus wind speed."""
-    limit = mission.section.limit_s
-    figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions")
+    section, limit = mission.section, mission.section.limit_s
+    drawn = " and the sampled parameters of the arm" if section.spread else ""
+    caption = (
+        f"The missions differ in the gusts{drawn}. Left: percentage of the missions at each wind "
+        f"speed in which the tip moved at least {section.beyond_m:g} m into the opening within the "
+        f"time limit of {limit:g} s and stayed there for {section.hold_s:g} s. Error bars are 95 % "
+        "intervals of the probability of success (Wilson). Right: time until the tip was inside, "
+        "for each successful mission (grey dots, with a random horizontal offset), and the median "
+        "(orange-red). The dashed line is the time limit."
+    )
+    figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions", caption)
     share, times = figure.subplots(1, 2)
     tallies = cases.tallies
     winds = np.array([tally.wind for tally in tallies])
@@ -227,7 +246,12 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
     share.errorbar(winds, 100 * inside, span, fmt="o-", color=BLUE, capsize=3)
     share.set_ylim(0, 105)
     across = "wind speed (m/s)"
-    plain(share, f"Tip inside within {limit / 60:g} min (95 % interval)", across, "%")
+    plain(
+        share,
+        f"Tip inside the opening within {limit / 60:g} min (95 % interval)",
+        across,
+        "share of missions (%)",
+    )
     spread = 0.2 * (np.min(np.diff(winds)) if len(winds) > 1 else 0.1)
     random = np.random.default_rng(0)
     for tally in tallies:
@@ -237,7 +261,7 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
             times.plot(tally.wind, tally.quartiles[1], "_", color=VERMILLION, markersize=18)
     times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
     times.set_ylim(0, 1.05 * limit)
-    plain(times, "Time until the tip was inside (median in red)", across, "s")
+    plain(times, "Time until the tip was inside the opening (median in red)", across, "time (s)")
     return figure
 
 
@@ -278,17 +302,32 @@ def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str
     return json.dumps(plain_data(facts), indent=2)
 
 
+_CERTIFICATE_CAPTION = (
+    "Each dot is a mission that was simulated after a rest period. It is blue if the tip was "
+    "inside in time, and orange-red otherwise. The ordinate is the wind speed of the mission, and "
+    "the abscissa is the probability of success that a logistic regression on all missions "
+    "estimates from its rest period. The grey line is the probability for the recording of the arm "
+    "at rest. The light grey band is its 95 % confidence interval due to the finite number of "
+    "missions, without the error of the logistic model."
+)
+
+
 def certificate_figure(mission: Mission, found: Certificate) -> Figure:
     """Plot the missions by wind speed and by the probability estimated from their own rests."""
     minutes = mission.section.limit_s / 60
     title = (
-        f"Probability that the tip is inside within {minutes:g} min, controller {mission.driver}"
+        f"Probability that the tip is inside the opening within {minutes:g} min, "
+        f"controller {mission.driver}"
     )
-    figure = new_figure(7.5, 4.2, f"{title}: {100 * found.chance:.0f} %")
+    title = f"{title}: {100 * found.chance:.0f} %"
+    figure = new_figure(7.5, 4.2, title, _CERTIFICATE_CAPTION)
     panel = figure.subplots()
     winds = np.array([case.wind for case in found.cases])
     inside = np.array([case.reached is not None for case in found.cases])
-    for these, colour, label in ((inside, BLUE, "inside"), (~inside, VERMILLION, "not inside")):
+    for these, colour, label in (
+        (inside, BLUE, "tip inside the opening"),
+        (~inside, VERMILLION, "tip not inside"),
+    ):
         panel.plot(
             100 * found.chances[these], winds[these], "o", color=colour, markersize=4, alpha=0.7,
             label=f"{label} ({np.sum(these)})", linewidth=0,

@@ -365,7 +365,7 @@ class Steering(AbstractController):
             local - line, near=self.near, stand_off=self.stand_off, deep=self.deep
         )
         outside = jnp.where(spread > self.sure, self.stand_off, outside)
-        # A tip that is inside stays inside.
+        # A tip that is inside the opening stays inside it.
         outside = jnp.where(opening.holds(local), -self.deep, outside)
         return opening.centre + opening.frame @ line.at[0].set(outside)
 

@@ -286,6 +286,14 @@ def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndar
     return times, {air: np.asarray(motion.link_centres[..., 2]) for air, motion in motions.items()}
 
 
+_FIG05_CAPTION = (
+    f"The base joint is commanded a step of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s. The curves are "
+    "the heights z of the centres of link 6 (green), link 12 (blue) and link 20 (orange-red) in m "
+    "versus time. Solid lines are simulated with drag. Dotted lines are simulated with a drag "
+    "coefficient C_D of 0 and otherwise equal parameters."
+)
+
+
 def fig05() -> Reproduced:
     """Fig. 5, with a table of the curves with and without air."""
     times, z = heights()
@@ -297,7 +305,8 @@ def fig05() -> Reproduced:
         curves = {air: z[air][:, link - 1] for air in z}
         rows.append((link, *(float(curve[row]) for row in at for curve in curves.values())))
         columns |= {f"link{link:02d}_z_{air}_air_m": curves[air] for air in curves}
-    figure = new_figure(8, 4.8, "Fig. 5: links 6, 12 and 20 with (solid) and without (dotted) air")
+    title = "Fig. 5: links 6, 12 and 20 with (solid) and without (dotted) air"
+    figure = new_figure(8, 4.8, title, _FIG05_CAPTION)
     axes = figure.subplots()
     solid_and_dotted(axes, times, (z["with"], z["without"]), SHOWN_LINKS, "link")
     plain(axes, "", "time (s)", "z of the link's centre (m)")
@@ -346,12 +355,23 @@ _FIG19_SOURCES = Sources(
 )
 
 
+_FIG19_CAPTION = (
+    "Each panel shows the height z of the centre of one link in m versus time. Grey dots are the "
+    "recorded run of the stand-in, a simulation by MuJoCo. The solid blue line is the paper's "
+    "model, fitted to this run. The dotted orange-red line is the same model with a drag "
+    "coefficient C_D of 0. The dashed green line is the giajax model, fitted to another run. Table "
+    "3 compares the models in the light grey interval. Curves are cut off at the edges of a panel."
+)
+
+
 def fig19(fits: Fits) -> Reproduced:
     """Fig. 19 for the first run of the stand-in."""
     run = fits.runs[0]
     curves = {name: fits.predicted(name, run) for name in STYLES}
     times = times_of(run)
-    figure = new_figure(10, 6.8, "Fig. 19: the models and a stand-in for the experiment")
+    figure = new_figure(
+        10, 6.8, "Fig. 19: the models and a stand-in for the experiment", _FIG19_CAPTION
+    )
     panels = figure.subplots(2, 2, sharex=True)
     rows = []
     columns = {"time_s": times}
@@ -473,6 +493,16 @@ def _rows(
     return tuple(rows)
 
 
+_TABLE3_CAPTION = (
+    "Left: mean of |model - recorded| / |recorded|, which is 100 % minus the concordance. Right: "
+    "root mean square (RMS) of the error relative to that of the recorded displacement. Both are "
+    "computed from the heights of a link from 10 to 25 s. Each small marker is one run, and a "
+    "black bar is the median of the runs. Large open markers are the values that the paper prints. "
+    "Colour and shape of the markers denote the model (see the legend). The average is over the "
+    "four links. The ordinates are logarithmic."
+)
+
+
 def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -> Figure:
     """Draw both measures as errors, so that one logarithmic scale shows 1 % and 3000 %.
 
@@ -480,7 +510,7 @@ def _table3_drawn(rates: dict[str, np.ndarray], errors: dict[str, np.ndarray]) -
     negative.
     """
     title = f"Table 3: {len(rates['own'])} runs of a stand-in simulated by MuJoCo"
-    figure = new_figure(11, 5.4, title)
+    figure = new_figure(11, 5.4, title, _TABLE3_CAPTION)
     left, right = figure.subplots(1, 2, sharey=True)
     _dots(left, {name: 1 - each for name, each in rates.items()})
     for name, numbers in PRINTED.items():

@@ -46,7 +46,7 @@ class SearchEnd:
 
     Attributes:
         why: "reached", "minimum" (converged, but not to the printed cells), "stuck" (no minimum,
-            but no step along these slopes reduces the error), "iterations", "failed" or
+            but no step in the descent direction reduces the error), "iterations", "failed" or
             "interrupted".
         start: initial values of `UNKNOWNS`, SI, shape (unknown,).
         end: final values, SI, shape (unknown,).
@@ -228,9 +228,19 @@ def in_words(row: np.ndarray, names: Sequence[str]) -> str:
     return " ".join(f"{names[at]}^{row[at]:.2f}" for at in order)
 
 
+_CAPTION = (
+    "Left: singular values of the derivatives of the eight cells with respect to the logarithms of "
+    "the unknowns, at the end of each search. The colour denotes the assumption of the search. At "
+    "the dashed lines, a change of 10 % (upper) or 100 % (lower) along a direction changes the "
+    "cells by half a percentage point, the largest rounding error of a cell. Right: components of "
+    "these directions for the best search, from -1 (blue) to 1 (red). Components of at least "
+    f"{_WORTH:g} are printed. To first order, only the first eight directions change the cells."
+)
+
+
 def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     """Plot the singular values of all searches and the directions of the best one."""
-    figure = new_figure(11, 5.4, title)
+    figure = new_figure(11, 5.4, title, _CAPTION)
     left, right = figure.subplots(1, 2)
     for end in ends:
         label = READINGS[end.reading].label if end.number == 1 else None
@@ -305,8 +315,8 @@ def shown(ends: Sequence[SearchEnd]) -> Reproduced:
     reached = sum(end.why == "reached" for end in ends)
     best = nearest(ends)
     title = (
-        f"Inversion of table 3: {reached or 'none'} of {len(ends)} searches reach the eight "
-        f"printed cells, and the best RMS error is {rms(best):.1f} percentage points"
+        f"Inversion of table 3: {reached or 'none'} of {len(ends)} searches reproduce the "
+        f"eight printed cells, and the best RMS error is {rms(best):.1f} percentage points"
     )
     return Reproduced(
         title,

@@ -105,10 +105,19 @@ def _heights(motion: Trajectory) -> np.ndarray:
     return np.asarray(motion.link_centres[..., 2])
 
 
+_FIG06_CAPTION = (
+    f"Joint 1 is commanded from 0 to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, starting at "
+    f"{STEP_AT:g} s, and all other joints to 0. Top: gauge pressures in the first (orange-red) and "
+    "second muscle (blue) of joint 1. Middle: angles of joint 1 (orange-red), joint 3 (blue) and "
+    "joint 5 (green). Bottom: heights z of the centres of link 6 (green), link 12 (blue) and link "
+    "20 (orange-red). Dotted lines are the same arm with linear springs, which have the stiffness "
+    f"of the muscle pair at {STEP_DEG:g}{DEGREE}."
+)
+
+
 def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
-    figure = new_figure(
-        8, 8.2, "Fig. 6: joints driven by muscle pressures (solid) and joints with springs (dotted)"
-    )
+    title = "Fig. 6: joints driven by muscle pressures (solid) and joints with springs (dotted)"
+    figure = new_figure(8, 8.2, title, _FIG06_CAPTION)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=[1, 1.6, 1.6])
     times = np.asarray(driven.times)
     supplied = np.asarray(driven.pressures)[:, :, 0] / 1e3

@@ -19,10 +19,10 @@ PLAN_HEADINGS = (
     "command ends, s",
     "tip at rest, s",
     "off target, % of travel",
-    "residual",
-    "stiffness -25 %",
-    "stiffness +25 %",
-    "95 % of draws",
+    "residual, % of travel",
+    "residual, stiffness -25 %",
+    "residual, stiffness +25 %",
+    "residual, 95 % of draws",
     "clearance, m",
 )
 
@@ -109,9 +109,26 @@ def path_columns(found: Plan) -> dict[str, np.ndarray]:
 _SHAPES = 6  # Number of drawn shapes of the arm.
 
 
+def _caption(found: Plan) -> str:
+    blocks = "" if found.planned.clearance is None else " Light grey: obstacles."
+    bands = (
+        " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."
+        if _banded(found.direct) or _banded(found.planned)
+        else ""
+    )
+    return (
+        f"Left: the arm at {_SHAPES} equally spaced times of the planned command, from "
+        "yellow-green (start) to violet (end). Grey line: path of the tip. Cross: target."
+        f"{blocks} Top right: commands of the moving joints, from violet (base) to yellow-green "
+        "(tip). Bottom right: distance of the tip from the target under the planned command (blue) "
+        "and under the direct motion at the largest rate (grey). Dots: ends of the commands. "
+        f"Dotted line: {100 * found.within:.3g} % of the initial distance.{bands}"
+    )
+
+
 def plan_figure(found: Plan, title: str = "") -> Figure:
     """Plot shapes of the arm during the motion, the commands, and the distance from the target."""
-    figure = new_figure(11, 6.4, title or "A planned command")
+    figure = new_figure(11, 6.4, title or "A planned command", _caption(found))
     grid = figure.add_gridspec(2, 2)
     across = np.ptp(found.planned.tips, axis=0)
     _shapes(figure.add_subplot(grid[:, 0]), found, "xz" if across[2] >= across[1] else "xy")

@@ -139,7 +139,8 @@ def _by_channel(run: Run, deviations: Mapping[str, float]) -> dict[str, float]:
     positive = {key: value for key, value in deviations.items() if value > 0}
     if any(not np.isfinite(value) or value < 0 for value in deviations.values()):
         raise InputError(
-            "a standard deviation or an outlier size is negative or not finite: correct it"
+            "a standard deviation or an outlier size is negative or not finite: give finite "
+            "numbers of at least 0"
         )
     plan = Run.from_arrays(run.times, run.values, noise=positive, definition=bare)
     return {name: plan.noise(name) or 0.0 for name in run.observations}

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
 from ...runtime.records import plain_data
 from ...schema import CommandSection
+from ...schema.parameters import find
 from ._live import Heard
 from ._track import SHOWN, Change, States, Track
 from ._verdict import BAND, TrackVerdict
@@ -33,11 +34,33 @@ class TrackFiles(NamedTuple):
 TRACK_FILES = TrackFiles()
 
 
+def _caption(found: Track) -> str:
+    dots = (
+        " Grey dots: measured positions at the time of exposure."
+        if any(f"tip_{axis}" in found.arm.channels for axis in "xyz")
+        else ""
+    )
+    wind = (
+        " Mean wind: smoothed estimates of its components x (grey, dotted), y (blue) and z "
+        "(orange-red, dashed), averaged over the links."
+        if found.filtered.wind is not None
+        else ""
+    )
+    return (
+        "Tip x, y and z: estimates from the measurements up to each time (filter, blue) and from "
+        f"the whole run (smoother, orange-red).{dots}{wind} Bands: 95 %, or {BAND:g} standard "
+        "deviations above and below the estimate. Innovations: measured minus expected values of "
+        "all channels, whitened to a standard deviation of 1; values that were not used, "
+        "such as outliers, are at 0. Dotted lines: -2 and 2."
+    )
+
+
 def track_figure(found: Track, title: str = "") -> Figure:
     """Plot the tip, the wind and the innovations versus time, with 95 % bands."""
     blows = found.filtered.wind is not None
     rows = 4 + blows
-    figure = new_figure(9, 1.7 * rows + 0.6, title or f"Track of {found.run.name}")
+    title = title or f"Track of {found.run.name}"
+    figure = new_figure(9, 1.7 * rows + 0.6, title, _caption(found))
     axes = figure.subplots(rows, 1, sharex=True)
     times = found.times
     for k, axis in enumerate("xyz"):
@@ -216,7 +239,10 @@ def change_sentence(change: Change) -> str:
     )
 
 
-TRACK_HEADINGS = ("state", "unit", "at the end", "deviation", "smoothed, mean deviation")
+TRACK_HEADINGS = (
+    *("state", "unit", "final estimate", "standard deviation"),
+    "mean standard deviation, smoothed",
+)
 
 
 def track_rows(found: Track) -> list[tuple[Any, ...]]:
@@ -231,6 +257,8 @@ def track_rows(found: Track) -> list[tuple[Any, ...]]:
         words = name if not name.startswith("joint") else f"{name} (largest uncertainty)"
         after = float(factor * np.mean(smooth[name][1]))
         unit = unit.replace("_per_", "/")
+        if name in latest.parameters:
+            unit = find(found.arm.model, name).declaration.unit or "-"
         rows.append((words, unit, float(factor * mean[-1]), float(factor * spread[-1]), after))
     return rows
 
@@ -327,7 +355,7 @@ def track_sections(
         [
             ["NIS per measurement", f"{verdict.nis:.3f}", f"1 +- {4 * verdict.nis_error:.3f}"],
             ["largest correlation", f"{verdict.correlation:.3f}", "0"],
-            ["outliers", f"{verdict.left_out:.2%}", "0 %"],
+            ["outliers, %", f"{100 * verdict.left_out:.2f}", "0"],
             ["explanations tried", ", ".join(verdict.tried) or "none", ""],
         ],
     )

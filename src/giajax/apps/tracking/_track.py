@@ -751,13 +751,13 @@ def track(
         raise InputError(
             f"the arm cannot be tracked in '{run.name}', because its state becomes infinite: allow "
             f"more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare model "
-            "and wind with the run first (giajax fit)"
+            "and wind with the run first ('giajax fit')"
         )
     if not np.any(found.used):
         raise InputError(
             f"no measurement of '{run.name}' is accepted, because each deviates by more than "
-            f"{gate:g} standard deviations: compare the model with the run first (giajax fit), or "
-            "allow larger deviations (--gate)"
+            f"{gate:g} standard deviations: compare the model with the run first ('giajax fit'), "
+            "or allow larger deviations (--gate)"
         )
     say("smoothing ...")
     every = settings._replace(estimated=jnp.ones_like(settings.estimated))
@@ -769,7 +769,7 @@ def track(
     if not np.all(np.isfinite(after.mean)):
         raise InputError(
             f"the smoothed state of '{run.name}' is not finite: allow more unmodelled torque, or "
-            "compare the model with the run first (giajax fit)"
+            "compare the model with the run first ('giajax fit')"
         )
     late = max(delays_of(stated, names).values()) + latency
     now, now_times = None, plan.times

@@ -15,6 +15,13 @@ from ._fit import WindFit
 _MOST = 9
 _ACROSS = 3
 
+_CAPTION = (
+    "One-sided power spectral densities of the recorded channels of the arm. Grey dots: measured "
+    "spectra, averaged over five sine tapers in frequency bands that do not overlap. Blue lines: "
+    "spectra of the fitted model, averaged in the same way: the response of the linearised arm to "
+    "the gusts, plus the noise."
+)
+
 
 def wind_figure(found: WindFit, title: str = "") -> Figure:
     """Plot the measured and fitted spectra of the channels that move most, at most nine."""
@@ -22,7 +29,10 @@ def wind_figure(found: WindFit, title: str = "") -> Figure:
     drawn = np.sort(np.argsort(-moves, kind="stable")[:_MOST])
     across = min(_ACROSS, len(drawn))
     down = -(-len(drawn) // across)
-    figure = new_figure(3.4 * across + 0.4, 2.4 * down + 0.5, title or "Spectra at rest in a wind")
+    some = len(drawn) < len(moves)
+    caption = _CAPTION + (" The channels that move most are shown." if some else "")
+    title = title or "Spectra at rest in a wind"
+    figure = new_figure(3.4 * across + 0.4, 2.4 * down + 0.5, title, caption)
     for place, index in enumerate(drawn):
         axes = figure.add_subplot(down, across, place + 1)
         measured, fitted = found.measured[:, index], found.fitted[:, index]

@@ -164,7 +164,7 @@ def _prediction(result: FitResult) -> list[str]:
     if sizes and max(sizes) > _FAR_OFF:
         return [
             f"the held-out data are predicted with errors up to {max(sizes):.2g} times the errors "
-            "expected from noise and parameters"
+            "expected from noise and parameter uncertainty"
         ]
     return []
 
