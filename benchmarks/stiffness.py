@@ -23,7 +23,7 @@ from rich.table import Table
 
 from benchmarks.measuring import RESULTS, command_line, store
 from giajax.mechanics.arm import Arm, takeichi_20m
-from giajax.report import new_figure, plain
+from giajax.report import new_figure, plain, to_png
 from giajax.schema.parameters import replace
 from giajax.simulation import Signal, constant, simulate, solver as solver_named
 from giajax.simulation._motion import Inputs, motion
@@ -127,7 +127,9 @@ def convergence(quick: bool, console: Console) -> dict[str, Any]:
 
 
 def draw_order(found: dict[str, Any], path: Path) -> None:
-    what = "Largest error of an angle over the number of steps, and the slope of order 5 (dotted)."
+    what = (
+        "Largest error of an angle versus the number of steps, and the slope of order 5 (dotted)."
+    )
     figure = new_figure(7, 4.5, "springs5: steps of one length", what)
     axes = figure.subplots()
     steps = np.asarray(found["steps"], dtype=float)
@@ -141,11 +143,11 @@ def draw_order(found: dict[str, Any], path: Path) -> None:
     axes.set_ylabel("largest error of an angle, rad")
     plain(axes)
     axes.legend(fontsize=7)
-    figure.savefig(path, dpi=130)
+    path.write_bytes(to_png(figure))
 
 
 def draw_cost(found: dict[str, Any], path: Path) -> None:
-    what = "Computing time over the error of the tip, for each yaw stiffness and method."
+    what = "Computing time versus the error of the tip, for each yaw stiffness and method."
     figure = new_figure(11, 4, "25 s of the arm, joints 1 and 2 driven", what)
     panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
     for axes, (stiffness, curves) in zip(panels, found.items(), strict=True):
@@ -161,7 +163,7 @@ def draw_cost(found: dict[str, Any], path: Path) -> None:
         axes.invert_xaxis()
     panels[0].set_ylabel("run, ms")
     panels[0].legend()
-    figure.savefig(path, dpi=130)
+    path.write_bytes(to_png(figure))
 
 
 def main() -> None:

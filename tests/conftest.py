@@ -229,9 +229,10 @@ def every_picture_in_all_formats():
 def check_pictures(others, title):
     """Check that an SVG has text as text, a PDF no Type 3 fonts, and that there is a caption."""
     svg, pdf = others["svg"], others["pdf"]
-    caption, mark = others["txt"].decode().splitlines()
-    assert caption.startswith(title.replace("\n", " ") + ". ")
-    assert "giajax fit" in mark
+    caption, _ = others["caption.txt"].decode().splitlines()
+    head = title.replace("\n", " ") + ". "
+    assert caption.startswith(head)
+    assert caption.removeprefix(head).endswith(".")
     root = ElementTree.fromstring(svg)
     assert root.tag.endswith("}svg")
     assert root.find(".//{*}text") is not None

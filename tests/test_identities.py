@@ -96,8 +96,8 @@ TASKS = {
     ),
     "start": (
         ("study/_start_task:one_start", None),
-        "41bbbe0b99d15df33495c57e63ddb125cdb8e7e1de0f153ebf8ef817a073636e",
-        5530190553435965756,
+        "2782de527ada65af217369db10ecde8a7a10b47d4fa53fb2217ebeaff407a1e2",
+        6484432329625095704,
     ),
 }  # fmt: skip
 
@@ -125,7 +125,11 @@ def arguments_of(what, fitted):
             from giajax.fitting import set_up
             from toy_model import run
 
-            setup = set_up(Decay(), run(), start={"decay": 2.0}).at_start()
+            # The last digit of an exponential depends on the processor.
+            noisy = run()
+            values = {name: np.round(each, 6) for name, each in noisy.values.items()}
+            rounded = dataclasses.replace(noisy, values=values)
+            setup = set_up(Decay(), rounded, start={"decay": 2.0}).at_start()
             asked = found(place_of("study/_start_task:Asked")).of(setup)
             return {"asked": asked, "start": {"decay": 2.0}, "most": 50}
 

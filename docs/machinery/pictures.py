@@ -82,7 +82,7 @@ def _in_space() -> None:
     times = np.array([0.0, 3.0, 7.0, 25.0])
     command = giajax.joint_ramps(arm.count, angles, start=0.5, duration=1.5)
     scene = giajax.models.arm_scene(giajax.simulate(arm, command, jnp.asarray(times)))
-    figure = new_figure(8.6, 4.1, "", "")
+    figure = new_figure(8.6, 4.1, "", "The arm at four times of a motion, with its shadow.")
     figure.set_layout_engine("none")
     # A 3D panel is square and clips its contents, so it is as wide as the figure.
     panel: Any = figure.add_axes((-0.05, -0.61, 1.0, 2.15), projection="3d", computed_zorder=False)

@@ -28,6 +28,7 @@ from giajax.apps.tracking import (
     track,
     track_facts,
     track_notes,
+    track_rows,
     tracked_arm,
     unseen,
     usual_torque,
@@ -247,6 +248,8 @@ def test_errors_that_are_considered_widen_the_bands_and_estimated_ones_shrink(mo
     error = found.filtered.parameter_deviations["air.drag_coefficient"][-1]
     assert value == pytest.approx(1.3, abs=4 * error)
     assert error < 0.1
+    units = {row[0]: row[1] for row in track_rows(found)}
+    assert (units["air.drag_coefficient"], units["tip_x"]) == ("-", "m")
 
 
 def test_rows_one_by_one_and_out_of_order_end_where_the_whole_run_does(model):

@@ -154,7 +154,7 @@ def test_it_says_where_the_pressures_hold_the_joint(tmp_path, capsys):
     assert torque == {"0.4"}
 
 
-@pytest.mark.parametrize("name", ["joint.png", "joint.svg"])
+@pytest.mark.parametrize("name", ["joint.png", "joint.svg", "joint.caption.txt"])
 def test_nothing_is_written_over_without_force(tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")
     assert main(["joint", "--out", str(tmp_path), "--format", "svg"]) == 2

@@ -52,11 +52,11 @@ def test_profiles_are_written_added_to_and_shown(fit, capsys):
 
     # Profiles of another level or another fit are neither overwritten nor shown.
     assert main(["profile", str(fit), "--parameter", free[0], "--level", "0.9"]) == 2
-    assert "belongs to the level 0.95: use --force to overwrite it" in capsys.readouterr().err
+    assert "was computed for the level 0.95: use --force to overwrite it" in capsys.readouterr().err
     record = json.loads((fit / "profiles.json").read_text())
     (fit / "profiles.json").write_text(json.dumps({**record, "fit": "0"}))
     assert main(["profile", str(fit), "--parameter", free[0]]) == 2
-    assert "belongs to another fit: use --force" in capsys.readouterr().err
+    assert "was computed for another fit: use --force" in capsys.readouterr().err
     assert main(["report", str(fit), "--page", str(page), "--quiet", "--force"]) == 0
     assert "profiles" not in Page(page.read_bytes()).headings
 

@@ -268,11 +268,12 @@ def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
 
     (first, figure), (second, _) = drawn(), drawn()
     assert (first, first.others) == (second, second.others)
-    assert list(first.others) == ["svg", "pdf", "txt"]
+    assert list(first.others) == ["svg", "pdf", "caption.txt"]
     caption = "A parabola. The squares of 0 to 3."
-    assert first.others["txt"].decode().splitlines()[0] == caption
+    assert first.others["caption.txt"].decode().splitlines()[0] == caption
     assert caption.encode() in first
     assert caption.encode() in first.others["svg"]
+    assert b"/Subject (A parabola. The squares of 0 to 3.)" in first.others["pdf"]
     svg, pdf = first.others["svg"], first.others["pdf"]
     assert (b"date" in svg.lower(), b"CreationDate" in pdf) == (False, False)
     texts = [each.text for each in ElementTree.fromstring(svg).iterfind(".//{*}text")]
@@ -288,19 +289,22 @@ def test_a_picture_that_is_written_over_leaves_no_other_format_of_what_was(tmp_p
     figure.subplots()
     path, own = tmp_path / "a.png", tmp_path / "b.svg"
     own.write_text("<svg>drawn by a person</svg>")
-    own.with_suffix(".txt").write_text("notes of a person")
+    notes = tmp_path / "c.caption.txt"
+    notes.write_text("giajax fit --data run.csv: Drawn by giajax.\nnotes of a person\n")
     with pictures_as(["svg", "pdf"]):
         write_files({path: to_png(figure)}, force=False)
     assert path.with_suffix(".svg").exists()
-    assert path.with_suffix(".txt").exists()
+    caption = path.with_suffix(".caption.txt")
+    assert caption.exists()
     with pictures_as(["pdf"]):
-        write_files({path: to_png(figure)}, force=True)
+        write_files({path: to_png(figure), tmp_path / "b.png": to_png(figure)}, force=True)
     assert not path.with_suffix(".svg").exists()
     assert path.with_suffix(".pdf").exists()
-    write_files({path: to_png(figure), tmp_path / "b.png": to_png(figure)}, force=True)
-    assert not path.with_suffix(".txt").exists()
+    assert caption.exists()
     assert own.exists()
-    assert own.with_suffix(".txt").exists()
+    write_files({path: to_png(figure), tmp_path / "c.png": to_png(figure)}, force=True)
+    assert not caption.exists()
+    assert notes.exists()
 
 
 @pytest.mark.quick

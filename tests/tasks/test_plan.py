@@ -137,9 +137,9 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
         ("[grid]\nout = ['a']", r"\[grid\]: unknown key 'out'"),
         ("[grid]\nuncertainty.offset = [0.1]", "uncertainty has no effect in a sweep"),
         ("[grid]\nfix = [1]", "fix must be a table of parameter paths"),
-        ("[grid]\nloss = 'huber'", "loss is 'huber': give a list of values, or a range"),
-        ("[grid]\nloss = []", "give a list of values, or a range"),
-        ("[grid.fix]\noffset = { from = 1, to = 2 }", "give a list of values, or a range"),
+        ("[grid]\nloss = 'huber'", "loss is 'huber': give a non-empty list, or a range"),
+        ("[grid]\nloss = []", "give a non-empty list, or a range"),
+        ("[grid.fix]\noffset = { from = 1, to = 2 }", "give a non-empty list, or a range"),
         (
             "[grid.fix]\noffset = { from = 1, to = 2, count = 0 }",
             "two numbers and a positive count",
@@ -148,7 +148,7 @@ def test_a_sample_has_the_distributions_that_are_asked_for(folder, method):
             "[grid.fix]\noffset = { from = -1.7e308, to = 1.7e308, count = 3 }",
             "is too wide a range",
         ),
-        ("[grid.fix]\noffset = { normal = [1, 2] }", "give a list of values, or a range"),
+        ("[grid.fix]\noffset = { normal = [1, 2] }", "give a non-empty list, or a range"),
         (
             "[[list]]\nfix.offset = { from = 1, to = 2, count = 2 }",
             "must be one value: put a range",

@@ -328,8 +328,8 @@ _EQUILIBRIA_CAPTION = (
     "that the controller computes for a target angle, versus this angle. On the light grey "
     "diagonal, the equilibrium is at the target. Right: net torque of the joint towards positive "
     "angles versus its angle, at the constant pressures for one target angle. Its zeros are the "
-    "stable (blue) and unstable (orange-red) equilibria. In the light grey bands the first muscle "
-    "of the joint is straight."
+    "stable (blue) and unstable (orange-red) equilibria. In the light grey bands, the first muscle "
+    "of the joint is straight at the angle on the abscissa."
 )
 
 

@@ -512,13 +512,15 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
     if unrolled.finished:
         end = f"completely paid out after {unrolled.handed_over / _MINUTE:.1f} min"
     flow = " (solid) and gas flow divided by the cross-section of the tube (dashed)"
-    filling = " while it is unrolled and then filled. Dashed lines mark the labelled events"
+    filling = "" if unrolled.filled is None else " while it is unrolled and then filled"
+    marked = np.isfinite([unrolled.handed_over, unrolled.arm_lift_off]).any()
+    marks = ". Dashed lines mark the labelled events" if marked else ""
     caption = (
         "Upper left: length of the arm that is paid out. Upper right: speed of the roll"
         f"{flow if made.by_gas else ''}. Lower left: forces along the path of the roll. Forces "
         "that oppose its motion are negative. Bending and inertia forces are not drawn. Lower "
         "right: mass of gas in the arm relative to the mass that fills it at ambient pressure"
-        f"{'' if unrolled.filled is None else filling}."
+        f"{filling}{marks}."
     )
     figure = new_figure(9.0, 6.0, f"Unrolling {float(made.length):g} m by {by}: {end}", caption)
     minutes = unrolled.times / _MINUTE

@@ -119,7 +119,9 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-_Formats = Annotated[Texts, "FORMAT", "Also write the pictures as svg or pdf.", "--format"]
+_Formats = Annotated[
+    Texts, "FORMAT", "Also write the pictures as svg or pdf, with captions.", "--format"
+]
 _Dpi = Annotated[
     int | None, "N", "Resolution of the pictures in pixels per inch. [default: 130]", 30, 2400
 ]

@@ -22,7 +22,7 @@ from ..recordings import (
 )
 from ..runtime.files import parse_json, read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.pictures import FORMATS, remove_own
+from ..runtime.pictures import CAPTION, FORMATS, remove_own
 from ..runtime.records import plain_data
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import find, switched_on
@@ -299,7 +299,8 @@ def _remove_stale_pictures(folder: Path) -> None:
     """Remove the pictures and the page of an earlier fit, which are no longer valid."""
     of_runs = ("recorded", "recorded_*", "held_out_*")
     whole = ("residuals", "correlation", "left_over", "bootstrap", "influence")
-    pictures = (f"{name}.{each}" for name in (*of_runs, *whole) for each in FORMATS)
+    endings = (*FORMATS, CAPTION)
+    pictures = (f"{name}.{each}" for name in (*of_runs, *whole) for each in endings)
     for pattern in (*pictures, PAGE):
         for path in folder.glob(pattern):
             # A PDF has the signature at its end, and a page may have it anywhere.

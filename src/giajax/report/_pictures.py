@@ -376,11 +376,11 @@ def _legend(
 
 _RESIDUALS_CAPTION = (
     "Residuals are divided by the standard deviation of white noise. Upper left: residuals of all "
-    "channels of a run versus time (grey; values beyond the axis are drawn at its edge), and their "
-    "root-mean-square (RMS) in at most 40 equal intervals of time (orange-red). Upper right: "
-    "distribution of the residuals of all runs, and the standard normal density (blue). Bottom: "
-    "RMS of each channel over all runs (blue dots). Dashed lines: RMS of 1, which is expected if "
-    "only noise remains."
+    "channels of a run versus time or sample (grey; values beyond the axis are drawn at its "
+    "edge), and their root-mean-square (RMS) in at most 40 equal intervals (orange-red). Upper "
+    "right: distribution of the residuals of all runs, and the standard normal density (blue). "
+    "Bottom: RMS of each channel over all runs (blue dots). Dashed lines: RMS of 1, which is "
+    "expected if only noise remains."
 )
 
 
@@ -419,8 +419,8 @@ def residuals_figure(
 
 _SPREAD_CAPTION = (
     "Residuals (recorded - fitted) of the run with the largest ones, divided by the standard "
-    "deviation of white noise. Map: mean residuals in equal intervals of time for each channel "
-    "(red: positive, blue: negative)."
+    "deviation of white noise. Map: mean residuals of each channel in equal intervals of time "
+    "or sample (red: positive, blue: negative). Missing values count as 0."
 )
 
 _CAUSES_CAPTION = (

@@ -88,7 +88,7 @@ def _caption(level: float, curves: list[ProfileCurve]) -> str:
     if any(None in curve.interval for curve in curves):
         caption += " Where an end was not found, the shading extends to the last point shown."
     if any(curve.bounded[_shown(curve.deviances, curve.level)].any() for curve in curves):
-        caption += " Orange-red dots: another parameter is at a bound."
+        caption += " Orange-red dots: another parameter has reached a bound."
     return caption
 
 

@@ -255,7 +255,8 @@ _INFLUENCE_CAPTION = (
     "part with the largest shift first. Columns: parameters. Each number is the estimate without "
     "the part minus the estimate with all data, divided by the standard error with all data. It "
     "follows from a new fit, or to first order from the derivatives. Red: the estimate increases "
-    "without the part. Blue: it decreases."
+    "without the part. Blue: it decreases. Empty cells: "
+    "parameters of an omitted run."
 )
 
 
@@ -284,6 +285,8 @@ def influence_figure(found: Influence, title: str = "") -> Figure:
     for (row, column), shift in np.ndenumerate(shifts):
         strong = np.isfinite(shift) and abs(shift) > 0.6 * reach
         text = f"{shift:+.2f}" if np.isfinite(shift) else "lost"
+        # The parameters of a run have no shift without that run.
+        text = text if paths[column] in parts[row].shifts else ""
         colour = "white" if strong else INK
         axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
     axes.set_yticks(range(len(parts)), [f"{part.kind} {part.name}" for part in parts])

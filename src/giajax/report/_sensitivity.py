@@ -12,11 +12,11 @@ _MOST_NAMES = 25  # more names next to a map are not legible
 
 _CAPTION = (
     "Each row is for one parameter, whose value is stated above the map. Left: share of each body "
-    "or channel in the Fisher information on this parameter alone, for white noise. Right: norm of "
-    "the derivative of the position of each body with respect to the parameter, versus time or "
-    "sample; bodies are in the order of the left panel, and each map has its own scale. The "
-    "expected standard error is the Cramer-Rao bound for a fit of all these parameters to all "
-    "channels."
+    "or channel in the Fisher information on this parameter alone, for white noise. Right: norm "
+    "of the derivative of the position of each body, or absolute value of the derivative of each "
+    "other channel, with respect to the parameter, versus time or sample; the rows are in the "
+    "order of the left panel, and each map has its own scale. The expected standard error is the "
+    "Cramer-Rao bound for a fit of all these parameters to all channels."
 )
 
 

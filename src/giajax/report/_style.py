@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-from ..runtime.pictures import CAPTION, SIGNATURE, Picture, picture_formats
+from ..runtime.pictures import CAPTION, SIGNATURE, Picture, caption_file, picture_formats
 
 # Okabe and Ito's colours, which people with red-green colour blindness can distinguish.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -31,9 +31,6 @@ _HEADERS: dict[str, dict[str, Any]] = {
     "svg": {"Creator": SIGNATURE, "Date": None},
     "pdf": {"Creator": SIGNATURE, "CreationDate": None},
 }
-
-# The last line of a caption contains the signature, by which giajax recognises its own files.
-_MARK = "Drawn by the giajax fitting toolkit."
 
 _SETTINGS: Any = {
     # Text can be searched, read aloud and edited; a missing font is replaced.
@@ -113,14 +110,15 @@ def to_png(figure: Figure) -> Picture:
     with matplotlib.rc_context(_SETTINGS):
         files = {each: _saved(figure, each, chosen.dpi) for each in ("png", *chosen.more)}
     if chosen.more:
-        files[CAPTION] = f"{_caption(figure)}\n{_MARK}\n".encode()
+        files[CAPTION] = caption_file(_caption(figure))
     return Picture(files.pop("png"), files)
 
 
 def _caption(figure: Figure) -> str:
     """Return the title and the caption of a figure as one paragraph."""
     title = figure.get_suptitle().replace("\n", " ")
-    return f"{title}. {figure.caption}" if isinstance(figure, CaptionedFigure) else title
+    parts = [title, figure.caption if isinstance(figure, CaptionedFigure) else ""]
+    return ". ".join(filter(None, parts))
 
 
 def _saved(figure: Figure, ending: str, dpi: int) -> bytes:

@@ -161,9 +161,8 @@ def explained_summary(found: Explanation) -> list[str]:
             f"these data ({off_first:.3g} times with the first model)"
         )
     if found.outliers:
-        so = "but" if found.loss == "linear" else "so"
         sentences.append(
-            f"{found.outliers} outliers were found, {so} the final fit uses the loss {found.loss}"
+            f"{found.outliers} outliers were found; the final fit uses the loss {found.loss}"
         )
     near = ", ".join(
         f"{found.tried[i].change} ({behind(found.steps, found.tried[i])[0]:+.2g})"

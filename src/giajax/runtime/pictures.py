@@ -14,8 +14,10 @@ SIGNATURE = "giajax fit"
 FORMATS = ("png", "svg", "pdf")
 """Picture formats. A PNG file is always written, because pages and records refer to it."""
 
-CAPTION = "txt"
+CAPTION = "caption.txt"
 """Extension of the caption that is written beside a picture in a further format."""
+
+_CAPTION_END = b"\nDrawn by giajax.\n"
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,11 @@ class Picture(bytes):
         return made
 
 
+def caption_file(caption: str) -> bytes:
+    """Return the file of a caption. Its last line marks it as written by giajax."""
+    return caption.encode() + _CAPTION_END
+
+
 def all_pictures(names: Iterable[str | Path]) -> list[str]:
     """Return file names, with the other selected formats and captions after each PNG file."""
     more = picture_formats().endings
@@ -105,7 +112,12 @@ def remove_former_pictures(contents: Mapping[Path, bytes]) -> None:
 
 
 def remove_own(path: Path, first: int | None = None) -> None:
-    """Remove a file if it contains the signature, optionally within its first bytes only."""
+    """Remove a file if it contains the signature, optionally within its first bytes only.
+
+    A caption is removed if its last line is unchanged, because a user may have appended notes.
+    """
     with contextlib.suppress(OSError):
-        if SIGNATURE.encode() in path.read_bytes()[:first]:
+        data = path.read_bytes()
+        is_caption = path.name.endswith(f".{CAPTION}")
+        if data.endswith(_CAPTION_END) if is_caption else SIGNATURE.encode() in data[:first]:
             path.unlink()

@@ -109,7 +109,7 @@ def _listed(value: Any, where: str) -> list[Any]:
         return value
     if not isinstance(value, Mapping) or not {"from", "to", "count"} <= set(value) <= set(RANGE):
         raise InputError(
-            f"{where} is {shown(value)}: give a list of values, or a range such as "
+            f"{where} is {shown(value)}: give a non-empty list, or a range such as "
             "{ from = 0.5, to = 1.5, count = 5 }"
         )
     low, high, count = value["from"], value["to"], value["count"]
@@ -207,7 +207,8 @@ def cases_of(data: Mapping[str, Any], source: str) -> list[Case]:
     rows = data.get("list", [{}])
     if not rows or not all(isinstance(row, Mapping) for row in rows):
         raise InputError(
-            f"{source}: list does not consist of tables: give a list of tables, [[list]]"
+            f"{source}: list is empty or has other elements than tables: give a list of tables, "
+            "[[list]]"
         )
     listed = [_row(row, f"{source}, [[list]]") for row in rows]
     drawn: list[Case] = [{}]

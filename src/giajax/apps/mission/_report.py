@@ -82,8 +82,8 @@ _MISSION_CAPTION = (
     "distance of the tip from the outer plane of the opening (blue circles) and from its axis "
     "(orange-red squares). Dotted lines are estimates of the controller. The dashed line is the "
     "depth from which the tip counts as inside. In grey intervals the camera sees at least two "
-    "corners of the opening. Lower right: commanded joint angles, with the largest ranges in "
-    "colour."
+    "corners of the opening. Lower right: commanded joint angles. The four "
+    "with the largest ranges are labelled, and the others are thin and grey."
 )
 
 
@@ -227,14 +227,15 @@ def cases_json(mission: Mission, cases: Cases) -> str:
 def cases_figure(mission: Mission, cases: Cases) -> Figure:
     """Plot the probability of success and the times to success versus wind speed."""
     section, limit = mission.section, mission.section.limit_s
-    drawn = " and the sampled parameters of the arm" if section.spread else ""
+    drawn = ", and the sampled parameters of the arm" if section.spread else ""
     caption = (
-        f"The missions differ in the gusts{drawn}. Left: percentage of the missions at each wind "
-        f"speed in which the tip moved at least {section.beyond_m:g} m into the opening within the "
-        f"time limit of {limit:g} s and stayed there for {section.hold_s:g} s. Error bars are 95 % "
-        "intervals of the probability of success (Wilson). Right: time until the tip was inside, "
-        "for each successful mission (grey dots, with a random horizontal offset), and the median "
-        "(orange-red). The dashed line is the time limit."
+        f"The missions differ in the gusts and the pixel errors of the camera{drawn}. Left: "
+        "percentage of the missions at each wind speed in which the tip moved at least "
+        f"{section.beyond_m:g} m into the opening within the time limit of {limit:g} s and stayed "
+        f"there for {section.hold_s:g} s. Error bars are 95 % intervals of the probability of "
+        "success (Wilson). Right: time until the tip was inside, for each successful mission "
+        "(grey dots, with a random horizontal offset), and the median (orange-red). The dashed "
+        "line is the time limit."
     )
     figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions", caption)
     share, times = figure.subplots(1, 2)

@@ -229,12 +229,13 @@ def in_words(row: np.ndarray, names: Sequence[str]) -> str:
 
 
 _CAPTION = (
-    "Left: singular values of the derivatives of the eight cells with respect to the logarithms of "
-    "the unknowns, at the end of each search. The colour denotes the assumption of the search. At "
-    "the dashed lines, a change of 10 % (upper) or 100 % (lower) along a direction changes the "
-    "cells by half a percentage point, the largest rounding error of a cell. Right: components of "
-    "these directions for the best search, from -1 (blue) to 1 (red). Components of at least "
-    f"{_WORTH:g} are printed. To first order, only the first eight directions change the cells."
+    "Left: singular values of the derivatives of the eight cells with respect to the logarithms "
+    "of the unknowns, at the end of each search. The colour denotes the assumption of the search. "
+    "At the dashed lines, a change of 0.1 (upper) or 1 (lower) in the logarithms along a "
+    "direction changes the cells by half a percentage point, the largest rounding error of a "
+    "cell. Right: components of these directions for the best search, from -1 (blue) to 1 (red). "
+    f"Components with a magnitude of at least {_WORTH:g} are printed. To first order, only the "
+    "first eight directions change the cells."
 )
 
 

@@ -150,7 +150,7 @@ class PlanProblem:
         duration: float | None,
         free_end: bool,
     ) -> None:
-        self.task = task
+        self.task, self.rate = task, limits.rate
         self._looked = kept_last(self._look)
         self.knots, joints = task.base.shape
         moves = len(task.moves)
@@ -246,7 +246,9 @@ class PlanProblem:
     def command(self, y: np.ndarray) -> Command:
         """Return the command that belongs to the unknowns."""
         knots = np.asarray(_knots(self.task, jnp.asarray(y[:-2], self.task.base.dtype)))
-        duration = float(y[0] * self.task.period)
+        # The rates satisfy their limit only to within the tolerance of SLSQP.
+        steps = np.max(np.abs(np.diff(knots, axis=0)), initial=0.0) / self.rate
+        duration = max(float(y[0] * self.task.period), float(steps * (self.knots - 1)))
         return Command(np.linspace(0.0, duration, self.knots), knots)
 
     def solved(

@@ -158,7 +158,7 @@ def resting(
     times = run.times[kept]
     if not 0 <= skip < np.inf or len(times) < 2:
         raise InputError(
-            f"skip is {skip:g} s, but '{run.name}' lasts only {np.ptp(run.times):g} s: "
+            f"skip is {skip:g} s, but '{run.name}' lasts {np.ptp(run.times):g} s: "
             "give at least 0 s and less than the duration"
         )
     steps = np.diff(times)
