@@ -1,4 +1,4 @@
-"""Kills: check that a killed and resumed fit gives the same numbers as an uninterrupted one.
+"""Interrupted processes: a killed and resumed fit gives the same numbers as an uninterrupted one.
 
 A robust fit of `fits/joint_loops.toml` runs in processes that are killed (SIGKILL) at random times
 after their start and resumed until one ends. Its steps are slowed down to those of a long arm, so
@@ -152,6 +152,7 @@ def table(figures: Figures) -> list[str]:
 
 KILLS = Study(
     name="kills",
+    title="Interrupted processes",
     meaning=(
         "Fits of `fits/joint_loops.toml` with a robust loss are killed at random moments after "
         "the start of the process and resumed until they end. The table lists whether each "

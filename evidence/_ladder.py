@@ -1,4 +1,4 @@
-"""Ladder: stepwise selection from the paper's model to an arm in full air.
+"""Stepwise model selection from the paper's model to an arm in full air.
 
 The recording `data/synthetic/full_air.csv` is from an arm with trim weights, added mass and drag
 along its links. The ladder starts from a fit of the paper's model, which has none of these effects
@@ -195,6 +195,7 @@ def cell(estimate: Mapping[str, float | None]) -> str:
 
 LADDER = Study(
     name="ladder",
+    title="Stepwise model selection",
     meaning=(
         "`giajax suspects --ladder` is applied to `data/synthetic/full_air.csv`, starting from a "
         "fit of the paper's model. That model omits trim weights, added mass and distributed drag "

@@ -1,4 +1,4 @@
-"""Ladder on a recording of another engine: from the paper's model to joints with memory.
+"""Stepwise model selection on a recording of another engine, up to joints with memory.
 
 The recording `data/independent/friction.csv` has Dahl friction in every joint, drag along the
 links, and added mass without its velocity-product terms. The paper's model has none of these
@@ -80,6 +80,7 @@ def table(figures: Figures) -> list[str]:
 
 LADDER_FRICTION = Study(
     name="ladder_friction",
+    title="Stepwise model selection with friction",
     meaning=(
         "`giajax suspects --ladder` is applied to `data/independent/friction.csv`, a recording "
         "simulated by MuJoCo, starting from a fit of the paper's model. That model omits Dahl "

@@ -42,4 +42,5 @@ def _section(study: Study) -> str:
         f"[{study.name}.json]({study.name}.json)."
     )
     rows = "\n".join(study.table(content["figures"]))
-    return f"## {study.name.replace('_', ' ').capitalize()}\n\n{study.meaning}\n\n{rows}\n\n{run}\n"
+    title = study.title or study.name.replace("_", " ").capitalize()
+    return f"## {title}\n\n{study.meaning}\n\n{rows}\n\n{run}\n"

@@ -20,6 +20,7 @@ class Study:
         disagreements: function of (stored figures, new figures) that returns sentences on figures
             of a smaller run with other random numbers that are inconsistent with the stored ones.
         table: function that returns the figures as lines of Markdown.
+        title: heading on the page; by default, the name.
         part: as `run`, for some of the cases. The tests run it if one repetition of all cases takes
             minutes; None means `run` itself.
     """
@@ -31,6 +32,7 @@ class Study:
     run: Callable[[int, int], Figures]
     disagreements: Callable[[Figures, Figures], list[str]]
     table: Callable[[Figures], list[str]]
+    title: str | None = None
     part: Callable[[int, int], Figures] | None = None
 
 

@@ -1,6 +1,7 @@
 """Phrases to avoid in pages, help texts and messages, with replacements (`docs/writing.md`)."""
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -32,8 +33,14 @@ PHRASES = [
 ]
 # This page quotes the phrases, and former names and paths cannot change.
 QUOTES = {"writing.md", "aliases.py", "identities.py"}
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
+    *(ROOT / name / "README.md" for name in ("benchmarks", "docs/evidence")),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "notebooks").glob("*.ipynb")),
+]
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
+SCRIPTS = sorted(path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".js"))
 
 
 def phrases_in(text):
@@ -48,9 +55,16 @@ def phrases_in(text):
 
 
 def phrases_of(path):
-    """Return the phrases of a page, or of the strings of a module, including docstrings."""
-    text = path.read_text()
-    if path.suffix == ".md":
+    """Return the phrases of a page, of the text of a notebook, or of the strings of a module."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".ipynb":
+        return [
+            (f"cell {number}", what)
+            for number, cell in enumerate(json.loads(text)["cells"], 1)
+            if cell["cell_type"] == "markdown"
+            for _, what in phrases_in("".join(cell["source"]))
+        ]
+    if path.suffix != ".py":
         return [(line + 1, what) for line, what in phrases_in(text)]
     return [
         (node.lineno + line, what)
@@ -81,8 +95,9 @@ def test_no_message_lost_its_f():
     assert found == []
 
 
-@pytest.mark.parametrize("paths", [PAGES, SOURCES], ids=["pages", "sources"])
+@pytest.mark.parametrize("paths", [PAGES, SOURCES, SCRIPTS], ids=["pages", "sources", "scripts"])
 def test_phrases_are_those_of_the_field(paths):
+    assert len(paths) > 2
     found = [
         f"{path.relative_to(ROOT)}:{line}: {what}"
         for path in paths

@@ -97,7 +97,7 @@ def main() -> int:
         },
     )
     if arguments.quick and (arguments.record or arguments.check):
-        sys.exit("a quick run is no measure: leave out --quick, or --record and --check")
+        sys.exit("a quick run is too inaccurate for --record and --check: omit --quick or both")
     jax.config.update("jax_enable_x64", True)
     console = Console()
     found = measure(arguments.quick, console)

@@ -56,7 +56,7 @@ RUNS = {
         "--ramp 10=12@16:2 --channels all --noise position_m=0.01 --missing 10 --seed 2",
     ),
     "wind": (
-        "The same arm as in pitch_yaw, in a gusty wind that changes its direction. The wind is "
+        "The same arm as in pitch_yaw, in a gusty wind that changes direction. The wind is "
         "recorded with the run.",
         f"{_ARM} --command inputs/wind.csv --channels link06,link12,link20,tip "
         "--noise position_m=0.015 --missing 5 --seed 3",

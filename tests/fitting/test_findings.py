@@ -80,7 +80,7 @@ def test_where_most_cells_are_far_off_they_are_no_outliers():
     free = ["amplitude", "decay", "offset", "idle"]
     for values, said in (
         (waves, "first find out why"),
-        (recorded.values["tip_z"], "fix it, give it a prior"),
+        (recorded.values["tip_z"], "hold it fixed, give it a prior"),
     ):
         again = replace(recorded, values={"tip_z": values})
         result = fit(Decay(), again, free=free, loss="student_t", max_iterations=20)

@@ -229,8 +229,8 @@ def test_what_leaves_the_picture_is_missing_and_what_was_behind_is_named():
     behind = [each for each in model_for([other]).conditions([], [other]) if "behind" in each]
     assert len(behind) == 1
     assert behind[0].startswith(
-        "camera side: in 'film' 63 recorded pixels of side.link02_u, side.link02_v, side.tip_u "
-        "show points that are behind the camera"
+        "camera side: in 'film' 63 recorded pixel coordinates of side.link02_u, side.link02_v, "
+        "side.tip_u show points that are behind the camera"
     )
     assert not [each for each in model_for([again]).conditions([], [again]) if "behind" in each]
 

@@ -87,7 +87,7 @@ def test_what_decides_is_a_condition():
 @pytest.mark.parametrize(
     ("uncertainty", "words"),
     [
-        ({"decay": 0.1}, r"decay is fitted.*: fix it"),
+        ({"decay": 0.1}, r"decay is fitted.*: hold decay fixed, or omit the uncertainty given"),
         ({"offset": -1.0}, r"the uncertainty of offset is not positive: give"),
         ({"offset": [1.0, 2.0]}, r"has 2 values, but the parameter has 1 element: give"),
         ({"offsat": 1.0}, r"there is no parameter 'offsat': did you mean 'offset'"),

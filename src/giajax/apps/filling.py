@@ -612,9 +612,9 @@ def filling_figure(filled: Filled) -> Figure:
     lifts = not np.isnan(filled.arm_lift_off)
     mark = " At the dashed line, the lift of all links begins to exceed their total weight."
     caption = (
-        "The lines are the links, coloured from dark purple (base) to light green (tip). Fullness "
-        "is the volume of the gas in a link divided by the volume of its tube. Net lift is the "
-        "mass that a link could carry in addition to its own. Bending stiffness is that of an "
+        "The lines are the links, coloured from dark purple (base) to light green (tip). The fill "
+        "level is the volume of the gas in a link divided by the volume of its tube. Net lift is "
+        "the mass that a link could carry in addition to its own. Bending stiffness is that of an "
         "inflated membrane tube (Comer and Levy) that bears the bending moment of its own weight."
         f"{mark if lifts else ''}"
     )
@@ -622,7 +622,7 @@ def filling_figure(filled: Filled) -> Figure:
     figure = new_figure(9.0, 6.0, title, caption)
     minutes = filled.times / _MINUTE
     panels = {
-        "Fullness of each link": (filled.fullness, "fraction of the full volume"),
+        "Fill level of each link": (filled.fullness, "fraction of the full volume"),
         "Pressure in each link": (filled.pressure, "gauge pressure (Pa)"),
         "Net lift of each link": (filled.net_lift * 1e3, "net lift (g)"),
         "Bending stiffness of each link (assumed)": (filled.stiffness, "stiffness (N m$^2$)"),

@@ -323,13 +323,19 @@ def equilibria_table(
     return {name: np.asarray(values) for name, values in table.items()}, everything
 
 
+# Style of unstable (False) and stable (True) equilibria.
+_EQUILIBRIUM: dict[bool, dict[str, Any]] = {
+    False: {"marker": "o", "linestyle": "none", "color": VERMILLION, "markerfacecolor": "white"},
+    True: {"marker": "o", "linestyle": "none", "color": BLUE},
+}
+
 _EQUILIBRIA_CAPTION = (
-    "Left: all stable (blue) and unstable (orange-red) equilibrium angles under the two pressures "
-    "that the controller computes for a target angle, versus this angle. On the light grey "
-    "diagonal, the equilibrium is at the target. Right: net torque of the joint towards positive "
-    "angles versus its angle, at the constant pressures for one target angle. Its zeros are the "
-    "stable (blue) and unstable (orange-red) equilibria. In the light grey bands, the first muscle "
-    "of the joint is straight at the angle on the abscissa."
+    "Left: all stable (filled blue dots) and unstable (hollow orange-red dots) equilibrium angles "
+    "under the two pressures that the controller computes for a target angle, versus this angle. "
+    "On the light grey diagonal, the equilibrium is at the target. Right: net torque of the joint "
+    "towards positive angles versus its angle, at the constant pressures for one target angle. Its "
+    "zeros are the stable (filled blue dots) and unstable (hollow orange-red dots) equilibria. In "
+    "the light grey bands, the first muscle of the joint is straight at the angle on the abscissa."
 )
 
 
@@ -345,9 +351,9 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
     target, angle, stable = table["target_deg"], table["angle_deg"], table["stable"]
     end = np.rad2deg(LARGEST_ANGLE)
     left.plot([-end, end], [-end, end], color=LIGHT, linewidth=3, zorder=1)
-    for held, colour, name in ((True, BLUE, "stable"), (False, VERMILLION, "unstable")):
-        rows = stable == held
-        left.plot(target[rows], angle[rows], ".", color=colour, markersize=4, label=name)
+    for held, name in ((True, "stable"), (False, "unstable")):
+        rows, style = stable == held, _EQUILIBRIUM[held]
+        left.plot(target[rows], angle[rows], ms=2.5, mew=0.6, label=name, **style)
     plain(left, f"equilibrium angles for these two pressures ({DEGREE})")
     # At larger target angles the pressures crush the neck.
     most = float(np.max(np.abs(target), initial=0.0))
@@ -367,8 +373,7 @@ def equilibria_figure(pair: JointPair, table: dict[str, np.ndarray], example_deg
         right.plot(np.rad2deg(bent), torque, color=INK, linewidth=1.4)
     right.axhline(0, color=GREY, linewidth=0.8)
     for item in equilibria(pair, pressures).every:
-        colour = BLUE if item.stable else VERMILLION
-        right.plot(np.rad2deg(item.angle), 0, "o", color=colour, markersize=6)
+        right.plot(np.rad2deg(item.angle), 0, markersize=6, **_EQUILIBRIUM[bool(item.stable)])
     kilopascals = " and ".join(f"{float(p) / 1e3:.1f}" for p in pressures)
     plain(right, f"torque at {kilopascals} kPa, target {example_deg:g}{DEGREE} (N m)")
     angle_axis(right, "angle")

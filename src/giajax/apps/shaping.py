@@ -613,13 +613,13 @@ def shaping_facts(found: Shaping) -> dict[str, Any]:
     return {"travel_m": found.travel, "modes": modes, "commands": rows, "notes": list(found.notes)}
 
 
-_COLOURS = (GREY, BLUE, VERMILLION, GREEN)
+_STYLES = ((GREY, "-"), (BLUE, "--"), (VERMILLION, "-."), (GREEN, ":"))
 
 _CAPTION = (
     "Top: command of the joint with the largest motion. ZV (zero vibration), ZVD (zero vibration "
     "and derivative) and EI (extra insensitive) are shapers, which convolve the original command "
     "with impulses. Bottom: simulated distance of the tip in still air from the position in which "
-    "it finally rests, in the same colours. Dots: ends of the commands. Dotted line: "
+    "it finally rests, in the same styles. Dots: ends of the commands. Horizontal line: "
     f"{100 * _NEAR:g} % of the travel of the tip."
 )
 _BANDS = " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."
@@ -632,15 +632,15 @@ def shaping_figure(found: Shaping, title: str = "") -> Figure:
     above, below = figure.subplots(2, 1, sharex=True)
     moved = np.ptp(found.rows[0].command.angles, axis=0)
     joint = int(np.argmax(moved))
-    for row, colour in zip(found.rows, itertools.cycle(_COLOURS), strict=False):
+    for row, (colour, dashes) in zip(found.rows, itertools.cycle(_STYLES), strict=False):
         angles = np.degrees(row.command.at(row.times)[:, joint])
-        above.plot(row.times, angles, color=colour, label=row.name)
+        above.plot(row.times, angles, color=colour, ls=dashes, label=row.name)
         if len(row.distances):
             low, high = np.percentile(row.distances, (2.5, 97.5), axis=0)
             below.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
-        below.plot(row.times, row.distance, color=colour, label=row.name)
+        below.plot(row.times, row.distance, color=colour, ls=dashes, label=row.name)
         below.plot(row.times[UNTIL], row.distance[UNTIL], "o", color=colour, ms=5)
-    below.axhline(_NEAR * found.travel, color=GREY, lw=0.8, ls=":")
+    below.axhline(_NEAR * found.travel, color=GREY, lw=0.8)
     plain(above, "", "", f"command of joint {joint + 1} (deg)")
     plain(below, "", "time (s)", "distance of the tip\nfrom its final position (m)")
     below.set_ylim(0, None)

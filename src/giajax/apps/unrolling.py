@@ -494,14 +494,14 @@ def unrolling_json(unrolled: Unrolled) -> str:
     return json.dumps(plain_data(facts), indent=2)
 
 
-_SHOWN = {
-    "gas": ("gas", BLUE),
-    "hand": ("hand", GREEN),
-    "weight": ("weight of the roll", INK),
-    "peel": ("peel", VERMILLION),
-    "loss": ("loss", PURPLE),
+_SHOWN: dict[str, tuple[str, str, Any]] = {
+    "gas": ("gas", BLUE, "-"),
+    "hand": ("hand", GREEN, (0, (5, 1, 1, 1, 1, 1))),
+    "weight": ("weight of the roll", INK, "-."),
+    "peel": ("peel", VERMILLION, "--"),
+    "loss": ("loss", PURPLE, ":"),
 }
-"""Labels and colours of the forces in the figure. Bending and inertia forces are small."""
+"""Labels, colours and lines of the forces in the figure. Bending and inertia forces are small."""
 
 
 def unrolling_figure(unrolled: Unrolled) -> Figure:
@@ -537,9 +537,9 @@ def unrolling_figure(unrolled: Unrolled) -> Figure:
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes = figure.add_subplot(2, 2, 3)
     forces = {**unrolled.forces._asdict(), "hand": unrolled.hand_force}
-    for name, (label, colour) in _SHOWN.items():
+    for name, (label, colour, dashes) in _SHOWN.items():
         if np.any(forces[name] != 0):
-            axes.plot(minutes, forces[name], color=colour, linewidth=1.2, label=label)
+            axes.plot(minutes, forces[name], color=colour, ls=dashes, lw=1.2, label=label)
     axes.axhline(0, color=GREY, linewidth=0.8)
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.35 * (high - low))

@@ -48,6 +48,7 @@ GROUPS = {
     "data": "Data",
     "fit": "Fit",
     "trust": "Trust",
+    "study": "Study",
     "plan": "Plan",
     "arm": "Arm",
     "paper": "Paper",

@@ -115,7 +115,7 @@ The models are sorted by their prediction error on the held-out loops. Models
 whose fit did not converge come last. AIC and BIC refer to the fitted part of the
 data and are relative to the smallest value. A small difference in BIC combined
 with a large difference in the error on the held-out loops indicates overfitting.""",
-    group="fit",
+    group="study",
     old={"--held-out": "--validation"},
 )
 def choose(

@@ -190,8 +190,8 @@ def import_(
             "FILE",
             "A text file from DeepLabCut, SLEAP, anipose, Kinovea, Tracker, OptiTrack Motive or "
             "phyphox; a table with giajax column names and with columns separated by commas, "
-            "semicolons or tabs; or a ROS 2 bag, which is a folder, .mcap or .db3 (needs pip "
-            "install 'giajax[ros]').",
+            "semicolons or tabs; or a ROS 2 bag, which is a folder, .mcap or .db3 (needs the "
+            "extra 'ros': pip install 'giajax[ros]', or in a checkout pip install '.[ros]').",
         ),
     ],
     to: ToRun,

@@ -16,6 +16,7 @@ from ._commands import (
     Renamed,
     argument,
     command,
+    command_after,
     say_progress,
     say_written,
 )
@@ -59,7 +60,7 @@ same steps. With --force, it starts again.
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
 130 interrupted, 143 by SIGTERM.""",
-    group="fit",
+    group="study",
     pictures=True,
     settings_after="data",
     old={"--config": "DEFINITION", "--page": "--report", "--no-page": "--no-report"},
@@ -159,6 +160,7 @@ def explain(
         print()
         show_result(result, task.definition)
         say_written(folder, [path.name for path in (*written, *files)])
+        typer.echo(command_after("view" if report else "report", folder))
     if record.ended in ("budget", "interrupted"):
         # A first fit that was stopped is not stored, so it cannot be continued.
         begun = (folder / FITS / FIRST).exists()

@@ -41,7 +41,7 @@ Examples:
 \b
 With --out DIR, the command writes
   filling.json            times at which each link is full and lifts itself
-  filling.csv             fullness, pressure, lift and stiffness over time
+  filling.csv             fill level, pressure, lift and stiffness over time
   filling.png             the same data as a figure
   inflation.toml          the filled arm, with the pressure of each link
   curve.csv, curve.png    ports and supplies that fill the arm in 23 min

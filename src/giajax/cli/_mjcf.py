@@ -32,7 +32,8 @@ of an arm, is converted to a folder with the files
   arm.xml                 the chain of links
   air.py, air.json        the air forces as passive forces; see air.py
 
-This command needs pip install 'giajax[mujoco]'.""",
+This command needs the extra 'mujoco': pip install 'giajax[mujoco]', or in a checkout
+pip install '.[mujoco]'.""",
     group="arm",
     old={"--out": "--to"},
 )

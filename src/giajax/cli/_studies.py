@@ -136,7 +136,8 @@ RESULT is the folder of a fit, or its result.json. The output files are
 posterior.json, the draws for ArviZ (posterior.nc), figures, and uncertainty bands
 of every channel as CSV. Each chain is stored in posterior_chains. The same command
 continues after Ctrl-C. If --chains is increased, the existing chains are kept.
-This command needs pip install 'giajax[posterior]'.""",
+This command needs the extra 'posterior': pip install 'giajax[posterior]', or in a
+checkout pip install '.[posterior]'.""",
     group="trust",
     pictures=True,
     workers=True,

@@ -51,7 +51,7 @@ contains one file for each fit.
 \b
 Exit status: 0 all fits were done; 1 a fit failed (its row gives the reason);
 2 bad input or usage; 130 interrupted, 143 by SIGTERM.""",
-    group="fit",
+    group="study",
 )
 def sweep(
     plan: Annotated[Path, argument("PLAN", "Plan of the fits; see below.")],

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.process import configure, go_on
-from ..runtime.text import InputError
+from ..runtime.text import InputError, install_command
 from ._commands import (
     Force,
     Json,
@@ -22,6 +22,7 @@ from ._commands import (
     argument,
     check_quiet,
     command,
+    command_after,
     print_table,
     say_progress,
     say_written,
@@ -62,7 +63,9 @@ MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
 section. The default is the arm of the sidecar. The standard errors of a fit
 are used as the uncertainty of its parameters. The output files are
 estimate.csv (a run of the smoothed states), bands.csv (their standard
-deviations), track.json, track.png and track.html (needs 'giajax[report]').
+deviations), track.json, track.png and track.html. The page needs the extra
+'report': pip install 'giajax[report]', or pip install '.[report]' in a
+checkout.
 
 \b
 With --live, or with - for standard input, a line is printed for each second
@@ -259,8 +262,12 @@ def track(
         if said is not None:
             typer.echo(said)
         say_written(out, [*contents, TRACK_FILES.estimate])
+        typer.echo(command_after("view", out))
         if page is None:
-            typer.echo(f"note: {TRACK_FILES.page} needs pip install 'giajax[report]'")
+            typer.echo(
+                f"note: {TRACK_FILES.page} needs the extra 'report', which is not installed: "
+                f"{install_command('report')}"
+            )
 
 
 def _true(path: Path) -> "Run":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from ..runtime.process import configure
-from ..runtime.text import InputError
+from ..runtime.text import InputError, format_estimate
 from ._commands import (
     Force,
     Json,
@@ -147,7 +147,8 @@ def _show(found: "WindFit") -> None:
     for name, one in found.numbers.items():
         error = one.standard_error
         word = "not determined" if one.free else "fixed"
-        rows.append([name, one.value, word if error is None else error, one.unit or None])
+        value, digits = format_estimate(one.value, error)
+        rows.append([name, value, word if error is None else digits, one.unit or None])
     print_table(["parameter", "value", "standard error", "unit"], rows)
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")

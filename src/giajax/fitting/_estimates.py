@@ -156,7 +156,7 @@ def _without_response(state: FitState, statistics: Statistics) -> Iterator[Findi
             names,
             f"no channel responds to {', '.join(names)}",
             _unless_far_off(
-                state, "fix it, give it a prior, or record a motion that depends on it"
+                state, "hold it fixed, give it a prior, or record a motion that depends on it"
             ),
         )
 
@@ -180,8 +180,8 @@ def _together(state: FitState, statistics: Statistics) -> Iterator[Finding]:
             "only_combinations",
             names,
             f"the data do not determine {', '.join(names)} separately{said}",
-            f"give one of them ({one_of(names)}) a prior with a standard deviation, or fix it"
-            + (", which does not change the combinations" if known else ""),
+            f"give one of them ({one_of(names)}) a prior with a standard deviation, or hold it "
+            "fixed" + (", which does not change the combinations" if known else ""),
         )
 
 

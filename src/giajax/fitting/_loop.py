@@ -101,7 +101,7 @@ def stopped_by(state: FitState) -> tuple[Reason, str] | None:
         if gain < little and gain < state.predicted_decrease():
             if not bool(state.inner.finite):
                 return _stuck(state)
-            advice = "give it a prior, fix it, or start from other values"
+            advice = "give it a prior, hold it fixed, or start from other values"
             return "crawl", (
                 f"the last {_STEPS} iterations lowered the cost by a fraction of only "
                 f"{gain / costs[-1]:.1g}, mostly along "

@@ -490,7 +490,7 @@ def behind_conditions(
             cells.setdefault(run.channels[name].camera or "", []).append((name, count))
     return [
         f"{'camera ' + camera if camera else 'the camera'}: in '{run.name}' "
-        f"{sum(count for _, count in found)} recorded pixels of "
+        f"{sum(count for _, count in found)} recorded pixel coordinates of "
         f"{', '.join(name for name, _ in found)} show points that are behind the camera in the "
         "model: correct the position and rotation of the camera, or the names of the points"
         for camera, found in cells.items()

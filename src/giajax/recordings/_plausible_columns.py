@@ -505,7 +505,7 @@ def magnitudes(look: Look) -> Iterator[Oddity]:
             if size and usual > 1.2 * size[channel.component or 0]:
                 yield wrong_unit(
                     f"{shown} px, but the image has {size[channel.component or 0]} px, so the "
-                    "pixels may refer to an image of another size",
+                    "pixel coordinates may refer to an image of another size",
                     "correct size_px in [camera.NAME], or the columns",
                     (name,),
                 )

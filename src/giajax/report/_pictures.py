@@ -141,7 +141,7 @@ _COLUMNS = ((1, 1), (2, 8), (3, 15), (4, _MOST_PANELS))  # number of columns, ma
 # Colours of fitted and of held-out cells.
 _SHADES = {False: GREY, True: VERMILLION}
 
-_COMPONENTS = {"x": BLUE, "y": VERMILLION, "z": GREEN}
+_COMPONENTS = {"x": (BLUE, "o"), "y": (VERMILLION, "s"), "z": (GREEN, "^")}
 
 
 def plot(result: FitResult, run: Run | None = None) -> Figure:
@@ -276,23 +276,27 @@ def _figure(
 
 
 def _caption(line: str, across: str, several: bool, *, hollow: bool, any_recorded: bool) -> str:
-    points = " or the components of one point (x: blue, y: orange-red, z: green)" * several
+    points = (
+        " or the components of one point (x: blue circles, y: orange-red squares, "
+        "z: green triangles)"
+    )
+    points, dots = (points, "markers") if several else ("", "dots")
     model = "fitted model" if line == "fitted" else "model"
     parts = [
         f"Each panel shows one channel{points} versus {across}, in the unit above the panel.",
         f"{'Line' if several else 'Blue line'}: prediction of the {model}.",
     ]
     if any_recorded:
-        parts.append(f"{'Filled' if several else 'Grey'} dots: recorded values.")
+        parts.append(f"{'Filled' if several else 'Grey'} {dots}: recorded values.")
     if hollow:
         colour = "" if several else " orange-red"
-        parts.append(f"Hollow{colour} dots: recorded values that were held out of the fit.")
+        parts.append(f"Hollow{colour} {dots}: recorded values that were held out of the fit.")
     if any_recorded or hollow:
         which = ", without the held-out values" if any_recorded and hollow else ""
         most = "; of several components, the largest one is given" if several else ""
         parts.append(
             "RMSE: root-mean-square of the differences between recorded and predicted values"
-            f"{which}{most}. Cells that were not measured are gaps between the dots."
+            f"{which}{most}. Cells that were not measured are gaps between the {dots}."
         )
     return " ".join(parts)
 
@@ -324,16 +328,17 @@ def _draw_panel(
         cells += [(held, channel) for channel in channels if channel.name in held.observations]
     for shown, channel in cells:
         hollow = shown is held
+        colour, mark = _style(channel) if several else (_SHADES[hollow], "o")
         axes.plot(
             over,
             channel.from_si(shown.observations[channel.name]),
             linestyle="none",
-            marker="o",
+            marker=mark,
             # Dots of a precise recording would be hidden by the line.
             markersize=size + 0.8 if several or hollow else size,
             markeredgewidth=0.6 if hollow else 0,
             markerfacecolor="none" if hollow else None,
-            color=_colour(channel) if several else _SHADES[hollow],
+            color=colour,
             alpha=0.6,
         )
     sweeps = np.array([], dtype=int) if over is run.times else sweep_starts(over)
@@ -350,23 +355,27 @@ def _draw_panel(
         axes.set_title(f"RMSE {max(known):.3g}", fontsize=8, loc="right", color=GREY)
 
 
-def _colour(channel: Channel) -> str:
-    return BLUE if channel.component is None else _COMPONENTS["xyz"[channel.component]]
+def _style(channel: Channel) -> tuple[str, str]:
+    """Return the colour and the marker of a component of a point."""
+    return _COMPONENTS["xyz"[channel.component or 0]]
 
 
 def _legend(
     figure: Figure, line: str, components: bool, *, hollow: bool, any_recorded: bool
 ) -> None:
     """Draw one legend for all panels, in the line of the title."""
-    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4}
-    recorded: dict[str, str] = {"recorded": GREY} if any_recorded else {}
+    dots: dict[str, Any] = {"linestyle": "none", "markersize": 4}
+    recorded = {"recorded": (GREY, "o")} if any_recorded else {}
     if components and (any_recorded or hollow):
-        recorded = {f"{name} recorded": colour for name, colour in _COMPONENTS.items()}
-    handles = [Line2D([], [], color=c, label=name, **dots) for name, c in recorded.items()]
+        recorded = {f"{name} recorded": style for name, style in _COMPONENTS.items()}
+    handles = [
+        Line2D([], [], color=colour, marker=mark, label=name, **dots)
+        for name, (colour, mark) in recorded.items()
+    ]
     if hollow:
         colour = INK if components else _SHADES[True]
         handles.append(
-            Line2D([], [], color=colour, markerfacecolor="none", label="held out", **dots)
+            Line2D([], [], color=colour, marker="o", mfc="none", label="held out", **dots)
         )
     handles.append(Line2D([], [], color=INK if components else BLUE, linewidth=1.4, label=line))
     figure.legend(

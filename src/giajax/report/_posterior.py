@@ -21,8 +21,12 @@ from ..studies import Band, Marginal, Posterior, PosteriorSummary
 from ._pictures import channel_label, sample_times, time_label
 from ._style import (
     BLUE,
+    GREEN,
     GREY,
     INK,
+    ORANGE,
+    PURPLE,
+    SKY,
     VERMILLION,
     as_data,
     new_figure,
@@ -49,7 +53,7 @@ def _corner_caption(*, some: bool, diverging: bool) -> str:
         if some
         else ""
     )
-    red = " Orange-red dots: all divergent draws of the sampler." if diverging else ""
+    red = " Orange-red crosses: all divergent draws of the sampler." if diverging else ""
     return (
         "Diagonal: histograms of the draws of all chains from the posterior distribution. Dashed "
         "lines: ends of the 95 % interval of the fit, from the Jacobian at the optimum and "
@@ -61,7 +65,7 @@ def _corner_caption(*, some: bool, diverging: bool) -> str:
 def corner_figure(found: Posterior, result: FitResult) -> Figure:
     """Plot a histogram of each parameter, and dots for each pair, in the units of the columns.
 
-    Each histogram also shows the linear interval of the fit. Divergent draws are red.
+    Each histogram also shows the linear interval of the fit. Divergent draws are crosses.
     """
     labels = _shown(found)
     factors = column_factors(result.model)
@@ -100,16 +104,19 @@ def corner_figure(found: Posterior, result: FitResult) -> Figure:
         Line2D([], [], color=INK, ls="--", label="linear 95 % interval"),
     ]
     if diverging.any():
-        handles.append(Line2D([], [], marker="o", ls="none", color=VERMILLION, label="diverged"))
+        handles.append(Line2D([], [], marker="x", ls="none", color=VERMILLION, label="diverged"))
     figure.legend(handles=handles, loc="outside upper right", fontsize=8, frameon=False, ncols=3)
     return figure
 
 
+_CHAIN_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY)
+_CHAIN_LINES = ("-", "--", "-.", ":")
+
 _TRACE_CAPTION = (
     "Left: draws of each chain in sequence, after its warm-up. Right: histograms of the ranks of "
     f"the draws of each chain among the draws of all chains, in {_RANKS} equal bins. Colours "
-    "distinguish the chains. Dashed line: number of draws in each bin if the ranks are uniform. "
-    "The ranks of chains that have mixed are uniform except for random scatter."
+    "and line styles distinguish the chains. Thick grey line: number of draws in each bin if the "
+    "ranks are uniform. The ranks of chains that have mixed are uniform except for random scatter."
 )
 
 
@@ -128,11 +135,15 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
     for row, (label, draws) in zip(grid, _draws(found, result, labels).items(), strict=True):
         # Equal draws of a chain that does not move have equal ranks.
         ranks = rankdata(draws, method="average").reshape(draws.shape)
-        for chain, (values, placed) in enumerate(zip(draws, ranks, strict=True), 1):
-            style: dict[str, Any] = {"color": f"C{chain - 1}", "label": f"chain {chain}"}
+        for chain, (values, placed) in enumerate(zip(draws, ranks, strict=True)):
+            style: dict[str, Any] = {
+                "color": _CHAIN_COLOURS[chain % len(_CHAIN_COLOURS)],
+                "linestyle": _CHAIN_LINES[chain % len(_CHAIN_LINES)],
+                "label": f"chain {chain + 1}",
+            }
             row[0].plot(np.arange(1, values.size + 1), values, linewidth=0.6, alpha=0.8, **style)
             row[1].hist(placed, bins=_RANKS, range=(1, ranks.size), histtype="step", **style)
-        row[1].axhline(draws.shape[1] / _RANKS, color=GREY, linewidth=0.9, linestyle="--")
+        row[1].axhline(draws.shape[1] / _RANKS, color=GREY, linewidth=2.5, alpha=0.5)
         row[0].set_ylabel(named[label], fontsize=8)
         row[1].set_ylabel("draws", fontsize=8)
         for axes in row:
@@ -140,7 +151,7 @@ def trace_figure(found: Posterior, result: FitResult) -> Figure:
     grid[-1, 0].set_xlabel("draw")
     grid[-1, 1].set_xlabel("rank among all draws")
     handles = grid[0, 0].get_legend_handles_labels()[0]
-    handles.append(Line2D([], [], color=GREY, ls="--", label="uniform ranks"))
+    handles.append(Line2D([], [], color=GREY, lw=2.5, alpha=0.5, label="uniform ranks"))
     figure.legend(handles=handles, loc="outside lower center", fontsize=8, frameon=False, ncols=5)
     return figure
 
@@ -196,9 +207,8 @@ def _shown(found: Posterior) -> list[str]:
 
 def _dots(axes: Axes, across: np.ndarray, up: np.ndarray, diverging: np.ndarray) -> None:
     kept = np.unique(np.linspace(0, len(up) - 1, _MOST_DOTS).round().astype(int))
-    style: dict[str, Any] = {"linestyle": "none", "marker": "o", "markeredgewidth": 0}
-    axes.plot(across[kept], up[kept], markersize=1.6, color=BLUE, alpha=0.35, **style)
-    axes.plot(across[diverging], up[diverging], markersize=2.6, color=VERMILLION, **style)
+    axes.plot(across[kept], up[kept], "o", ms=1.6, color=BLUE, alpha=0.35, markeredgewidth=0)
+    axes.plot(across[diverging], up[diverging], "x", ms=3.5, color=VERMILLION)
 
 
 _BANDS_CAPTION = (

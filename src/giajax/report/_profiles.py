@@ -88,7 +88,7 @@ def _caption(level: float, curves: list[ProfileCurve]) -> str:
     if any(None in curve.interval for curve in curves):
         caption += " Where an end was not found, the shading extends to the last point shown."
     if any(curve.bounded[_shown(curve.deviances, curve.level)].any() for curve in curves):
-        caption += " Orange-red dots: another parameter has reached a bound."
+        caption += " Orange-red squares: another parameter has reached a bound."
     return caption
 
 
@@ -169,7 +169,7 @@ def _draw(axes: Axes, curve: ProfileCurve) -> None:
     if np.any(curve.bounded[kept]):
         axes.plot(
             curve.values[kept][curve.bounded[kept]], curve.deviances[kept][curve.bounded[kept]],
-            "o", color=VERMILLION, ms=4, label="another parameter at a bound",
+            "s", color=VERMILLION, ms=4.5, label="another parameter at a bound",
         )  # fmt: skip
     axes.axhline(curve.level, color=GREY, lw=0.7)
     low, high = curve.interval
@@ -207,7 +207,7 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         note="Each quantity was fixed at a series of values while all others were fitted. "
         "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
         f"error. The {100 * found.level:.3g} % interval ends where the solid line crosses the "
-        "horizontal line. At orange dots, another parameter is at a bound.",
+        "horizontal line. At orange squares, another parameter is at a bound.",
     )
 
 
@@ -226,11 +226,16 @@ def _plot(curve: ProfileCurve) -> str:
     line = ColumnDataSource({"x": small(curve.between), "y": small(curve.smooth)})
     plot.line("x", "y", source=line, color=BLUE, line_width=1.3)
     kept = curve.deviances <= 2 * top
-    colours = [VERMILLION if bounded else BLUE for bounded in curve.bounded[kept]]
+    bounded = curve.bounded[kept]
     source = ColumnDataSource(
-        {"x": curve.values[kept], "y": curve.deviances[kept], "colour": colours}
+        {
+            "x": curve.values[kept],
+            "y": curve.deviances[kept],
+            "colour": np.where(bounded, VERMILLION, BLUE).tolist(),
+            "mark": np.where(bounded, "square", "circle").tolist(),
+        }
     )
-    dots = plot.scatter("x", "y", source=source, size=5, color="colour")
+    dots = plot.scatter("x", "y", source=source, size=5, color="colour", marker="mark")
     tips = [(curve.name, "@x{0.0000a}"), ("deviance", "@y{0.000}")]
     return embedded(plot, dots, tips)
 

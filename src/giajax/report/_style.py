@@ -108,8 +108,12 @@ def to_png(figure: Figure) -> Picture:
         engine.execute(figure)
         figure.set_layout_engine("none")
     with matplotlib.rc_context(_SETTINGS):
-        files = {each: _saved(figure, each, chosen.dpi) for each in ("png", *chosen.more)}
-    if chosen.more:
+        files = {
+            each: _saved(figure, each, chosen.dpi)
+            for each in ("png", *chosen.beside)
+            if each != CAPTION
+        }
+    if CAPTION in chosen.beside:
         files[CAPTION] = caption_file(_caption(figure))
     return Picture(files.pop("png"), files)
 

@@ -22,15 +22,15 @@ _CAPTION_END = b"\nDrawn by giajax.\n"
 
 @dataclass(frozen=True)
 class PictureFormats:
-    """Formats in addition to PNG, and the resolution of raster images, dots per inch."""
+    """Formats of pictures.
 
-    more: tuple[str, ...] = ()
+    Attributes:
+        beside: extensions of the files beside each PNG file: further formats and the caption.
+        dpi: resolution of raster images, dots per inch.
+    """
+
+    beside: tuple[str, ...] = ()
     dpi: int = 130
-
-    @property
-    def endings(self) -> tuple[str, ...]:
-        """Extensions of the files beside each PNG file: further formats and the caption."""
-        return (*self.more, CAPTION) if self.more else ()
 
 
 _USUAL = PictureFormats()
@@ -46,6 +46,8 @@ def picture_formats() -> PictureFormats:
 def pictures_as(formats: Sequence[str], dpi: int | None = None) -> Iterator[None]:
     """Select further formats and the resolution of all figures within this context.
 
+    If any format or a resolution is given, each figure has a file with its caption.
+
     Raises:
         InputError: there is no such format.
     """
@@ -53,8 +55,10 @@ def pictures_as(formats: Sequence[str], dpi: int | None = None) -> Iterator[None
         if each not in FORMATS:
             known = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
             raise InputError(f"--format is {shown(each)}: give {known}")
-    more = tuple(each for each in FORMATS[1:] if each in formats)
-    before = _CHOSEN.set(PictureFormats(more, _USUAL.dpi if dpi is None else dpi))
+    beside = tuple(each for each in FORMATS[1:] if each in formats)
+    if formats or dpi is not None:
+        beside = (*beside, CAPTION)
+    before = _CHOSEN.set(PictureFormats(beside, _USUAL.dpi if dpi is None else dpi))
     try:
         yield
     finally:
@@ -84,11 +88,11 @@ def caption_file(caption: str) -> bytes:
 
 def all_pictures(names: Iterable[str | Path]) -> list[str]:
     """Return file names, with the other selected formats and captions after each PNG file."""
-    more = picture_formats().endings
+    beside = picture_formats().beside
     found: dict[str, None] = {}
     for name in map(str, names):
         stem, dot, ending = name.rpartition(".")
-        others = more if dot and ending == FORMATS[0] else ()
+        others = beside if dot and ending == FORMATS[0] else ()
         found |= dict.fromkeys([name, *(f"{stem}.{each}" for each in others)])
     return list(found)
 

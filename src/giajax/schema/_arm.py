@@ -159,7 +159,7 @@ CHANNELS = (
     ChannelKind("link_wind", "linkNN_wind_x", "velocity", "surroundings"),
 )
 PIXELS = frozenset({"link_pixel", "tip_pixel", "mark_pixel"})
-"""Rows of the column table for pixels of cameras with a lens."""
+"""Rows of the column table for pixel coordinates of cameras with a lens model."""
 
 WINDS = ("wind", "link_wind")
 COMMANDS = ("joint_command", "joint_torque", *PRESSURES)

@@ -193,8 +193,8 @@ class _Alpha(Group):
     curvature = Declaration(
         _PER_SQUARE_DEGREE / 1600,
         "N m/rad^2",
-        "coefficient of the increase in alpha with the square of the angle beyond its threshold "
-        "(1/1600 per deg^2)",
+        "coefficient of the increase in alpha, which is proportional to the square of the angle "
+        "beyond the threshold (1/1600 per deg^2)",
         frozen=False,
     )
 
@@ -218,8 +218,8 @@ class _Beta(Group):
     curvature = Declaration(
         0.3 * _PER_SQUARE_DEGREE / 1600,
         "N m/rad^2",
-        "coefficient of the decrease in beta with the square of the angle beyond its threshold "
-        "(0.3/1600 per deg^2)",
+        "coefficient of the decrease in beta, which is proportional to the square of the angle "
+        "beyond the threshold (0.3/1600 per deg^2)",
         frozen=False,
     )
 
@@ -528,7 +528,7 @@ class MuscleSection(_Law):
     )
     friction: Literal["coulomb", "none"] | None = key(
         '"coulomb" or "none"',
-        "friction force of the muscle, which changes its sign between filling and exhausting; "
+        "friction force of the muscle, which changes sign between filling and exhausting; "
         "requires a recorded phase, or position and time",
         preset="none",
     )

@@ -63,8 +63,8 @@ def stated_doubts(
         fitted = [part.path for part in parts if part.path in free]
         if fitted:
             raise InputError(
-                f"{fitted[0]} is fitted, so the fit estimates its uncertainty: fix it, or omit "
-                "its uncertainty"
+                f"{fitted[0]} is fitted, so the fit estimates its uncertainty: hold "
+                f"{fitted[0]} fixed, or omit the uncertainty given for it"
             )
         if asked.following.issuperset(part.path for part in parts):
             raise InputError(

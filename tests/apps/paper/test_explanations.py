@@ -11,8 +11,10 @@ from giajax.apps.paper import (
     collapse_pressure,
     collapse_radius,
     explained,
+    explanations_figure,
     misfit,
 )
+from giajax.report import to_png
 
 SEARCHED = Searched(np.array([0.02, 0.05]), np.array([0.034, 0.038, 0.042]), np.array([0.02]))
 TRUTH = Explained("both", 0.05, 0.038, 0.02, np.empty(0))
@@ -40,6 +42,7 @@ def test_explanations_are_told_apart():
     assert min(liked, key=liked.get) == "both"
     both = found["both"][1]
     assert (both.friction, both.radius) == (0.05, 0.038)
+    assert to_png(explanations_figure(found, loop)).startswith(b"\x89PNG")
 
 
 def test_a_neck_that_muscles_crush_explains_nothing():

@@ -193,7 +193,8 @@ def uncertain(
         for path in stated:
             if path not in values:
                 raise InputError(
-                    f"'{path}' is uncertain but not free: free it, or remove its uncertainty"
+                    f"'{path}' is uncertain but not free: free it, or remove the "
+                    "uncertainty given for it"
                 )
         relative = dict(stated)
     else:

@@ -10,7 +10,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ...models import Line, Scene, arm_scene
-from ...report import BLUE, GREEN, GREY, INK, LIGHT, VERMILLION, new_figure, plain, to_csv, to_png
+from ...report import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    LIGHT,
+    PURPLE,
+    VERMILLION,
+    new_figure,
+    plain,
+    to_csv,
+    to_png,
+)
 from ...runtime.records import plain_data
 from ..mission import motion
 from ..viewer import Show
@@ -135,12 +147,13 @@ def _gas_rows(life: Life) -> dict[str, _Numbers]:
 
 
 _CAPTION = (
-    "Top: mass of gas in the arm, and highest (orange-red) and lowest (blue) gauge pressure of all "
-    "links. At the dashed line the pressure force on the largest cross-section equals the maximum "
-    "pull of one muscle. The background alternates between phases, and long phases are labelled. "
-    "Lower left: energy gained (blue), energy lost or delivered (orange-red), and magnitude of the "
-    "change of stored energy (green) in each phase. Values below 1e-6 J are drawn as 1e-6 J. Lower "
-    "right: work during the mission. Negative work takes energy from the motion."
+    "Top: mass of gas in the arm, and highest (orange-red) and lowest (dotted blue) gauge pressure "
+    "of all links. At the dashed line the pressure force on the largest cross-section equals the "
+    "maximum pull of one muscle. The background alternates between phases, and long phases are "
+    "labelled. Lower left: energy gained (blue), energy lost or delivered (orange-red, hatched), "
+    "and magnitude of the change of stored energy (green, dotted) in each phase. Values below 1e-6 "
+    "J are drawn as 1e-6 J. Lower right: work during the mission. Negative work takes energy from "
+    "the motion."
 )
 
 
@@ -157,7 +170,7 @@ def life_figure(life: Life) -> Figure:
     _mark(axes, life)
     axes = figure.add_subplot(2, 2, 2)
     axes.plot(minutes, rows["most"], color=VERMILLION, linewidth=1.2, label="highest")
-    axes.plot(minutes, rows["least"], color=BLUE, linewidth=1.2, label="lowest")
+    axes.plot(minutes, rows["least"], ":", color=BLUE, linewidth=1.6, label="lowest")
     area = np.pi / 4 * float(np.max(life.mission.model.arm.links.diameter)) ** 2
     axes.axhline(
         life.pull / area, color=INK, linewidth=0.8, linestyle="--", label="needed for one muscle"
@@ -189,12 +202,16 @@ def _energies(axes: Axes, life: Life) -> None:
     """Plot the energies that were gained, lost and stored in each phase."""
     places = np.arange(len(life.phases))
     rows = {
-        "gained": ([each.energy.gained for each in life.phases], BLUE),
-        "lost or delivered": ([each.energy.lost for each in life.phases], VERMILLION),
-        "stored": ([abs(each.energy.stored) for each in life.phases], GREEN),
+        "gained": ([each.energy.gained for each in life.phases], BLUE, ""),
+        "lost or delivered": ([each.energy.lost for each in life.phases], VERMILLION, "////"),
+        "stored": ([abs(each.energy.stored) for each in life.phases], GREEN, "...."),
     }
-    for offset, (name, (heights, colour)) in zip((-0.27, 0, 0.27), rows.items(), strict=True):
-        axes.bar(places + offset, np.maximum(heights, 1e-6), 0.27, color=colour, label=name)
+    for offset, (name, (heights, colour, hatch)) in zip(
+        (-0.27, 0, 0.27), rows.items(), strict=True
+    ):
+        # The edges have no width, but hatches are drawn in their colour.
+        style: Any = {"color": colour, "hatch": hatch, "edgecolor": "white", "linewidth": 0}
+        axes.bar(places + offset, np.maximum(heights, 1e-6), 0.27, label=name, **style)
     axes.set_yscale("log")
     axes.set_xticks(places, [each.name for each in life.phases], rotation=45, ha="right")
     axes.legend(fontsize=7, frameon=False)
@@ -204,10 +221,15 @@ def _energies(axes: Axes, life: Life) -> None:
 
 def _works(axes: Axes, life: Life) -> None:
     """Plot the works during the mission versus time."""
-    colours = iter((BLUE, VERMILLION, GREEN, INK, GREY, "black"))
+    styles: Any = zip(
+        (BLUE, VERMILLION, GREEN, INK, GREY, PURPLE),
+        ("-", "--", "-.", ":", (0, (8, 2)), (0, (5, 1, 1, 1, 1, 1))),
+        strict=True,
+    )
     for name, row in life.audit.works._asdict().items():
         if np.any(np.asarray(row) != 0):
-            axes.plot(life.outcome.times, row, color=next(colours), linewidth=1.2, label=name)
+            colour, dashes = next(styles)
+            axes.plot(life.outcome.times, row, color=colour, ls=dashes, lw=1.2, label=name)
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.legend(fontsize=7, frameon=False)
     plain(axes, "Work done on the arm during the mission", "time (s)", "work (J)")

@@ -234,8 +234,8 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
         f"{section.beyond_m:g} m into the opening within the time limit of {limit:g} s and stayed "
         f"there for {section.hold_s:g} s. Error bars are 95 % intervals of the probability of "
         "success (Wilson). Right: time until the tip was inside, for each successful mission "
-        "(grey dots, with a random horizontal offset), and the median (orange-red). The dashed "
-        "line is the time limit."
+        "(grey dots, with a random horizontal offset), and the median (orange-red bar). The "
+        "dashed line is the time limit."
     )
     figure = new_figure(9.0, 3.6, f"{len(cases.cases)} missions", caption)
     share, times = figure.subplots(1, 2)
@@ -262,7 +262,7 @@ def cases_figure(mission: Mission, cases: Cases) -> Figure:
             times.plot(tally.wind, tally.quartiles[1], "_", color=VERMILLION, markersize=18)
     times.axhline(limit, color=GREY, linewidth=0.8, linestyle="--")
     times.set_ylim(0, 1.05 * limit)
-    plain(times, "Time until the tip was inside the opening (median in red)", across, "time (s)")
+    plain(times, "Time until the tip was inside the opening (bar: median)", across, "time (s)")
     return figure
 
 
@@ -304,12 +304,12 @@ def certificate_json(mission: Mission, found: Certificate, **origin: Any) -> str
 
 
 _CERTIFICATE_CAPTION = (
-    "Each dot is a mission that was simulated after a rest period. It is blue if the tip was "
-    "inside in time, and orange-red otherwise. The ordinate is the wind speed of the mission, and "
-    "the abscissa is the probability of success that a logistic regression on all missions "
-    "estimates from its rest period. The grey line is the probability for the recording of the arm "
-    "at rest. The light grey band is its 95 % confidence interval due to the finite number of "
-    "missions, without the error of the logistic model."
+    "Each marker is a mission that was simulated after a rest period. It is a blue dot if the tip "
+    "was inside in time, and an orange-red cross otherwise. The ordinate is the wind speed of the "
+    "mission, and the abscissa is the probability of success that a logistic regression on all "
+    "missions estimates from its rest period. The grey line is the probability for the recording "
+    "of the arm at rest. The light grey band is its 95 % confidence interval due to the finite "
+    "number of missions, without the error of the logistic model."
 )
 
 
@@ -325,12 +325,12 @@ def certificate_figure(mission: Mission, found: Certificate) -> Figure:
     panel = figure.subplots()
     winds = np.array([case.wind for case in found.cases])
     inside = np.array([case.reached is not None for case in found.cases])
-    for these, colour, label in (
-        (inside, BLUE, "tip inside the opening"),
-        (~inside, VERMILLION, "tip not inside"),
+    for these, colour, mark, label in (
+        (inside, BLUE, "o", "tip inside the opening"),
+        (~inside, VERMILLION, "x", "tip not inside"),
     ):
         panel.plot(
-            100 * found.chances[these], winds[these], "o", color=colour, markersize=4, alpha=0.7,
+            100 * found.chances[these], winds[these], mark, color=colour, markersize=4, alpha=0.7,
             label=f"{label} ({np.sum(these)})", linewidth=0,
         )  # fmt: skip
     low, high = found.interval

@@ -288,9 +288,10 @@ def heights(tolerance: float = TOLERANCE) -> tuple[np.ndarray, dict[str, np.ndar
 
 _FIG05_CAPTION = (
     f"The base joint is commanded a step of {STEP_DEG:g}{DEGREE} at {STEP_AT:g} s. The curves are "
-    "the heights z of the centres of link 6 (green), link 12 (blue) and link 20 (orange-red) in m "
-    "versus time. Solid lines are simulated with drag. Dotted lines are simulated with a drag "
-    "coefficient C_D of 0 and otherwise equal parameters."
+    "the heights z of the centres of link 6 (green circles), link 12 (blue squares) and link 20 "
+    "(orange-red triangles) in m versus time. Markers are at some of the samples. Solid lines are "
+    "simulated with drag. Dotted lines are simulated with a drag coefficient C_D of 0 and "
+    "otherwise equal parameters."
 )
 
 
@@ -323,11 +324,12 @@ def solid_and_dotted(
     colours: Mapping[int, str],
     what: str,
 ) -> None:
-    """Plot columns of two tables, each of shape (sample, number), versus time."""
-    for number, colour in colours.items():
+    """Plot three columns of two tables, each of shape (sample, number), versus time."""
+    for (number, colour), mark in zip(colours.items(), "os^", strict=True):
         solid, dotted = (values[:, number - 1] for values in both)
-        panel.plot(times, solid, color=colour, linewidth=1.6, label=f"{what} {number}")
-        panel.plot(times, dotted, color=colour, linewidth=1.2, linestyle=(0, (1, 1.5)))
+        style: Any = {"color": colour, "marker": mark, "ms": 4, "markevery": len(times) // 14}
+        panel.plot(times, solid, linewidth=1.6, label=f"{what} {number}", **style)
+        panel.plot(times, dotted, linewidth=1.2, linestyle=(0, (1, 1.5)), **style)
 
 
 STYLES = {

@@ -226,8 +226,8 @@ _CAPTION = (
     "one explanation. The orange-red line is computed with the parameters in the panel's title, "
     "which minimise chi-square. Chi-square compares the largest error, the mean error and the "
     f"angle at a command of 13{DEGREE} with the text of the paper. The blue dot is that angle in "
-    f"the text, 30{DEGREE}. The grey line is a simulated joint, generated with another model. The "
-    "offset that minimises the mean absolute error is subtracted from each line."
+    f"the text, 30{DEGREE}. The dotted grey line is a simulated joint, generated with another "
+    "model. The offset that minimises the mean absolute error is subtracted from each line."
 )
 
 
@@ -235,11 +235,11 @@ def explanations_figure(found: Mapping[str, tuple[Explained, Explained]], loop: 
     """Plot the loops that fit the text best, and a simulated loop, versus the command."""
     plan = paper_history()
     aimed = plan.target[plan.measured]
-    title = "One link: explanations fitted to the text of fig. 12 (simulated joint in grey)"
+    title = "One link: explanations fitted to the text of fig. 12 (simulated joint dotted)"
     figure = new_figure(11, 4.2, title, _CAPTION)
     panels = figure.subplots(1, len(found), sharey=True)
     for panel, (name, (nearest, _)) in zip(panels, found.items(), strict=True):
-        panel.plot(aimed, loop, color=GREY, linewidth=0.9)
+        panel.plot(aimed, loop, ":", color=GREY, linewidth=1.1)
         panel.plot(aimed, nearest.angles, color=VERMILLION, linewidth=1.4)
         panel.plot([13.0], [30.0], "o", color=BLUE, markersize=5)
         parts = "\n".join(textwrap.wrap(nearest.needs, 44))

@@ -184,7 +184,7 @@ def _differences(taken: Reading, at: np.ndarray, step: float = 3e-3) -> np.ndarr
     return np.stack(columns, axis=1)
 
 
-_COLOURS = {"memory": BLUE, "own": VERMILLION}
+_STYLES = {"memory": (BLUE, "o"), "own": (VERMILLION, "s")}
 
 _WORTH = 0.25  # Smallest component of a direction that is shown.
 
@@ -229,11 +229,11 @@ def in_words(row: np.ndarray, names: Sequence[str]) -> str:
 
 
 _CAPTION = (
-    "Left: singular values of the derivatives of the eight cells with respect to the logarithms "
-    "of the unknowns, at the end of each search. The colour denotes the assumption of the search. "
-    "At the dashed lines, a change of 0.1 (upper) or 1 (lower) in the logarithms along a "
-    "direction changes the cells by half a percentage point, the largest rounding error of a "
-    "cell. Right: components of these directions for the best search, from -1 (blue) to 1 (red). "
+    "Left: singular values of the derivatives of the eight cells with respect to the logarithms of "
+    "the unknowns, at the end of each search. Colour and marker denote the assumption of the "
+    "search. At the dashed lines, a change of 0.1 (upper) or 1 (lower) in the logarithms along a "
+    "direction changes the cells by half a percentage point, the largest rounding error of a cell. "
+    "Right: components of these directions for the best search, from -1 (blue) to 1 (red). "
     f"Components with a magnitude of at least {_WORTH:g} are printed. To first order, only the "
     "first eight directions change the cells."
 )
@@ -245,9 +245,10 @@ def drawn(ends: Sequence[SearchEnd], title: str) -> Figure:
     left, right = figure.subplots(1, 2)
     for end in ends:
         label = READINGS[end.reading].label if end.number == 1 else None
-        small: Any = {"marker": "o", "markersize": 3.5, "linewidth": 0.8, "alpha": 0.8}
+        colour, mark = _STYLES[end.reading]
+        small: Any = {"marker": mark, "markersize": 3.5, "linewidth": 0.8, "alpha": 0.8}
         at = np.arange(1, len(CELLS) + 1)
-        left.plot(at, directions(end)[0], color=_COLOURS[end.reading], label=label, **small)
+        left.plot(at, directions(end)[0], color=colour, label=label, **small)
     beside: Any = {"textcoords": "offset points", "fontsize": 7, "color": GREY}
     for share in (0.1, 1.0):
         left.axhline(ROUNDING / share, color=GREY, linewidth=0.8, linestyle=(0, (4, 2)))

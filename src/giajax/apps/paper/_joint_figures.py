@@ -108,10 +108,11 @@ def _heights(motion: Trajectory) -> np.ndarray:
 _FIG06_CAPTION = (
     f"Joint 1 is commanded from 0 to {STEP_DEG:g}{DEGREE} within {STEP_FOR:g} s, starting at "
     f"{STEP_AT:g} s, and all other joints to 0. Top: gauge pressures in the first (orange-red) and "
-    "second muscle (blue) of joint 1. Middle: angles of joint 1 (orange-red), joint 3 (blue) and "
-    "joint 5 (green). Bottom: heights z of the centres of link 6 (green), link 12 (blue) and link "
-    "20 (orange-red). Dotted lines are the same arm with linear springs, which have the stiffness "
-    f"of the muscle pair at {STEP_DEG:g}{DEGREE}."
+    "second muscle (dashed blue) of joint 1. Middle: angles of joint 1 (orange-red circles), joint "
+    "3 (blue squares) and joint 5 (green triangles). Bottom: heights z of the centres of link 6 "
+    "(green circles), link 12 (blue squares) and link 20 (orange-red triangles). Markers are at "
+    "some of the samples. Dotted lines are the same arm with linear springs, which have the "
+    f"stiffness of the muscle pair at {STEP_DEG:g}{DEGREE}."
 )
 
 
@@ -122,7 +123,7 @@ def _drawn(driven: Trajectory, sprung: Trajectory) -> Figure:
     times = np.asarray(driven.times)
     supplied = np.asarray(driven.pressures)[:, :, 0] / 1e3
     panels[0].plot(times, supplied[:, 0], color=VERMILLION, label="first muscle")
-    panels[0].plot(times, supplied[:, 1], color=BLUE, label="second muscle")
+    panels[0].plot(times, supplied[:, 1], "--", color=BLUE, label="second muscle")
     both = (driven, sprung)
     angles, heights = [np.rad2deg(each.angles) for each in both], [_heights(each) for each in both]
     solid_and_dotted(panels[1], times, angles, JOINTS, "joint")

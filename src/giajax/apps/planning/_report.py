@@ -118,10 +118,10 @@ def _caption(found: Plan) -> str:
     )
     return (
         f"Left: the arm at {_SHAPES} equally spaced times of the planned command, from "
-        "yellow-green (start) to violet (end). Grey line: path of the tip. Cross: target."
-        f"{blocks} Top right: commands of the moving joints, from violet (base) to yellow-green "
-        "(tip). Bottom right: distance of the tip from the target under the planned command (blue) "
-        "and under the direct motion at the largest rate (grey). Dots: ends of the commands. "
+        f"yellow-green (start) to violet (end). Grey line: path of the tip. Cross: target.{blocks} "
+        "Top right: commands of the moving joints, from violet (base) to yellow-green (tip). "
+        "Bottom right: distance of the tip from the target under the planned command (blue) and "
+        "under the direct motion at the largest rate (dashed grey). Dots: ends of the commands. "
         f"Dotted line: {100 * found.within:.3g} % of the initial distance.{bands}"
     )
 
@@ -143,8 +143,8 @@ def plan_figure(found: Plan, title: str = "") -> Figure:
         above.plot(row.times, angles, color=colour, lw=0.9, label=label)
     plain(above, "", "", "planned command (deg)")
     above.legend(fontsize=8, frameon=False)
-    _distance(below, found, found.direct, GREY)
-    _distance(below, found, row, BLUE)
+    _distance(below, found, found.direct, GREY, "--")
+    _distance(below, found, row, BLUE, "-")
     below.axhline(found.within * found.travel, color=GREY, lw=0.8, ls=":")
     plain(below, "", "time (s)", "distance of the tip\nfrom the target (m)")
     below.set_ylim(0, None)
@@ -160,14 +160,14 @@ def _shown(found: Plan) -> float:
     return min(float(found.planned.times[-1]), 1.3 * max(ends))
 
 
-def _distance(panel: Axes, found: Plan, row: Planned, colour: str) -> None:
+def _distance(panel: Axes, found: Plan, row: Planned, colour: str, dashes: str) -> None:
     def off(tips: np.ndarray) -> np.ndarray:
         return np.asarray(np.linalg.norm(tips - found.goal, axis=-1))
 
     if _banded(row):
         low, high = np.percentile(off(row.drawn_tips), (2.5, 97.5), axis=0)
         panel.fill_between(row.times, low, high, color=colour, alpha=0.2, lw=0)
-    panel.plot(row.times, off(row.tips), color=colour, label=row.name)
+    panel.plot(row.times, off(row.tips), dashes, color=colour, label=row.name)
     panel.plot(row.command.times[-1], off(row.tips)[_end(row)], "o", color=colour, ms=5)
 
 

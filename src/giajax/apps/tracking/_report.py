@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from ...report import BLUE, GREY, VERMILLION, Table, new_figure, plain
 from ...runtime.records import plain_data
+from ...runtime.text import format_estimate
 from ...schema import CommandSection
 from ...schema.parameters import find
 from ._live import Heard
@@ -47,11 +48,11 @@ def _caption(found: Track) -> str:
         else ""
     )
     return (
-        "Tip x, y and z: estimates from the measurements up to each time (filter, blue) and from "
-        f"the whole run (smoother, orange-red).{dots}{wind} Bands: 95 %, or {BAND:g} standard "
+        "Tip x, y and z: estimates from the measurements up to each time (filter, dashed blue) and "
+        f"from the whole run (smoother, orange-red).{dots}{wind} Bands: 95 %, or {BAND:g} standard "
         "deviations above and below the estimate. Innovations: measured minus expected values of "
-        "all channels, whitened to a standard deviation of 1; values that were not used, "
-        "such as outliers, are at 0. Dotted lines: -2 and 2."
+        "all channels, whitened to a standard deviation of 1; values that were not used, such as "
+        "outliers, are at 0. Dotted lines: -2 and 2."
     )
 
 
@@ -74,7 +75,7 @@ def track_figure(found: Track, title: str = "") -> Figure:
                 late = found.arm.delay_of("camera.delay") or 0.0
                 axes[k].plot(stamps - late, shown, ".", color=GREY, ms=2, label="measured")
         for states, line, label in (
-            (found.filtered, {"color": BLUE, "lw": 0.8}, "filter"),
+            (found.filtered, {"color": BLUE, "lw": 0.8, "ls": "--"}, "filter"),
             (found.smoothed, {"color": VERMILLION, "lw": 1.6}, "smoother"),
         ):
             _band(axes[k], times, states.tip[:, k], states.tip_deviations[:, k], line, label)
@@ -245,9 +246,9 @@ TRACK_HEADINGS = (
 )
 
 
-def track_rows(found: Track) -> list[tuple[Any, ...]]:
+def track_rows(found: Track) -> list[tuple[str, ...]]:
     """Return rows for tip, wind, parameters, biases, and the joint with the largest uncertainty."""
-    rows: list[tuple[Any, ...]] = []
+    rows: list[tuple[str, ...]] = []
     smooth = _quantities(found.smoothed)
     latest = found.filtered
     least = int(np.argmax(latest.angle_deviations[-1]))
@@ -255,11 +256,12 @@ def track_rows(found: Track) -> list[tuple[Any, ...]]:
         if name.startswith("joint") and name != f"joint{least + 1:02d}_angle":
             continue
         words = name if not name.startswith("joint") else f"{name} (largest uncertainty)"
-        after = float(factor * np.mean(smooth[name][1]))
+        after = f"{float(factor * np.mean(smooth[name][1])):.2g}"
         unit = unit.replace("_per_", "/")
         if name in latest.parameters:
             unit = find(found.arm.model, name).declaration.unit or "-"
-        rows.append((words, unit, float(factor * mean[-1]), float(factor * spread[-1]), after))
+        last = format_estimate(float(factor * mean[-1]), float(factor * spread[-1]))
+        rows.append((words, unit, *last, after))
     return rows
 
 
@@ -348,7 +350,7 @@ def track_sections(
     found: Track, verdict: TrackVerdict, hidden: Hidden = ()
 ) -> tuple[list[tuple[str, Table, str]], list[str]]:
     """Return the tables of a page, each with its heading and note, and the notes on the track."""
-    rows = [[_text(cell) for cell in row] for row in track_rows(found)]
+    rows = [[*row] for row in track_rows(found)]
     states = Table([*TRACK_HEADINGS], rows, 2)
     sound = Table(
         ["", "value", "expected"],
@@ -372,7 +374,3 @@ def track_sections(
         ),
     ]
     return tables, track_notes(found, verdict, hidden)
-
-
-def _text(cell: Any) -> str:
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)

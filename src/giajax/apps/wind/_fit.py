@@ -112,7 +112,8 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     for name, error in zip(found.free, errors, strict=True):
         if error > OPEN:
             notes.append(
-                f"{name} is not determined by the data: fix it, record longer, or record more links"
+                f"{name} is not determined by the data: hold it fixed, record longer, or record "
+                "more links"
             )
     for one, other in itertools.combinations(range(len(found.free)), 2):
         together = covariance[one, other] / (errors[one] * errors[other])

@@ -7,7 +7,7 @@
   const next = async () => {
     const place = places.shift();
     if (!place) { document.body.dataset.drawn = "all"; return; }
-    // What one plot lacks must not take the others with it.
+    // An error in one plot must not prevent the others from being drawn.
     try {
       await Bokeh.embed.embed_item(told(place.dataset.plot), place);
     } catch (error) {
@@ -18,10 +18,10 @@
   };
   if (window.Bokeh) { Bokeh.set_log_level("warn"); next(); }
 
-  // A finger that scrolls the page must not zoom: a plot that is tapped takes fingers, the others not.
+  // Scrolling by touch must not zoom a plot, so only a plot that was tapped receives touch input.
   if (matchMedia("(pointer: coarse)").matches) {
     const plots = [...document.querySelectorAll("[data-plot]")];
-    // Not by pointer-events, which BokehJS sets within the plot.
+    // `inert` is used because BokehJS sets pointer-events within the plot.
     plots.forEach((one) => { one.inert = true; });
     document.body.classList.add("touch");
     addEventListener("click", (event) => {
@@ -34,7 +34,7 @@
     });
   }
 
-  // What is folded on the screen is not lost on paper.
+  // Open collapsed sections before printing, so that they appear on paper.
   addEventListener("beforeprint", () => {
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
     const widest = Math.max(0, ...[...document.querySelectorAll(".plot")].map((one) => one.clientWidth));
@@ -118,7 +118,7 @@
     if (timer) { stop(); return; }
     if (frame === count - 1) frame = 0;
     play.textContent = "Pause";
-    // In its own time where that is bearable, else within a quarter of a minute.
+    // Play in real time, or faster if the motion lasts longer than 15 s.
     const whole = scene.times ? scene.times[count - 1] - scene.times[0] : count / 10;
     const wait = 1000 * Math.min(whole, 15) / count;
     timer = setInterval(() => { if (frame >= count - 1) stop(); else { frame += 1; draw(); } }, wait);
