@@ -358,13 +358,16 @@ def test_the_command_writes_a_run_bands_a_page_and_says_what_is_wrong(model, tmp
     assert main(given) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("not adequate: camera.delay")
+    assert f"next: giajax view {out}" in printed
     facts = json.loads((out / "track.json").read_text())
     assert facts["verdict"]["causes"][0]["value"] == pytest.approx(0.2, abs=0.05)
+    ends = {row["state"]: row["value"] for row in facts["at_the_end"]}
     estimate = giajax.read_run(out / "estimate.csv")
     assert estimate.definition.arm.links == LINKS
     with (out / "bands.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["filtered_tip_x_deviation_m"]) > 0
+    assert ends["tip_x"] == pytest.approx(float(rows[-1]["filtered_tip_x_m"]), rel=1e-6)
     # The last link ends at the tip, and is drawn there.
     tip = [float(rows[-1][f"smoothed_tip_{axis}_m"]) for axis in "xyz"]
     bands = shown(out).bands

@@ -281,6 +281,8 @@ def test_a_figure_is_the_same_file_each_time_in_all_formats(dpi):
     assert struct.unpack(">II", first[16:24]) == (4 * dpi, 3 * dpi)
     with pictures_as(["png"]):
         assert list(to_png(figure).others) == ["caption.txt"]
+    with pictures_as([], dpi):
+        assert list(to_png(figure).others) == ["caption.txt"]
     # The selection of formats has ended.
     assert to_png(figure).others == {}
 

@@ -121,10 +121,14 @@ def argument(metavar: str, text: str) -> Any:
 
 
 _Formats = Annotated[
-    Texts, "FORMAT", "Also write the pictures as svg or pdf, with captions.", "--format"
+    Texts, "FORMAT", "Also write the pictures as svg or pdf, and captions as text.", "--format"
 ]
 _Dpi = Annotated[
-    int | None, "N", "Resolution of the pictures in pixels per inch. [default: 130]", 30, 2400
+    int | None,
+    "N",
+    "Resolution of the pictures in pixels per inch (with captions as text). [default: 130]",
+    30,
+    2400,
 ]
 
 _PLUGINS = Parameter(

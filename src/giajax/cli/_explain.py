@@ -16,7 +16,6 @@ from ._commands import (
     Renamed,
     argument,
     command,
-    command_after,
     say_progress,
     say_written,
 )
@@ -160,7 +159,6 @@ def explain(
         print()
         show_result(result, task.definition)
         say_written(folder, [path.name for path in (*written, *files)])
-        typer.echo(command_after("view" if report else "report", folder))
     if record.ended in ("budget", "interrupted"):
         # A first fit that was stopped is not stored, so it cannot be continued.
         begun = (folder / FITS / FIRST).exists()

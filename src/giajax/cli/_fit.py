@@ -478,7 +478,8 @@ class Settings(TypedDict):
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."]
     nuisances: Annotated[
         bool | None,
-        "Fit the nuisance parameters of camera and arm with priors, or fix them. [default: fit]",
+        "Fit the nuisance parameters of camera and arm with priors, or hold them fixed. "
+        "[default: fit]",
         "--nuisances/--no-nuisances",
     ]
     channels: Annotated[

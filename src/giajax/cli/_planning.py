@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..runtime.process import configure, stop_if_asked, stopped_status
-from ..runtime.text import InputError, format_estimate
+from ..runtime.text import InputError
 from ._commands import (
     Force,
     Json,
@@ -205,10 +205,9 @@ def _show_sensitivity(
         error = float(sensitivities.standard_errors(noises)[index])
         most = int(shares[:, index].argmax())
         unit, share = sensitivities.units[index] or None, shares[most, index]
-        value, digits = format_estimate(float(sensitivities.values[index]), error)
-        found = [digits, unit, f"{bodies[most]} ({100 * share:.0f} %)"]
+        found = [f"{error:.2g}", unit, f"{bodies[most]} ({100 * share:.0f} %)"]
         cells = found if error < math.inf else ["not determined", unit, None]
-        rows.append([path, value, *cells])
+        rows.append([path, float(sensitivities.values[index]), *cells])
     print_table(["parameter", "value", "expected error", "unit", "most informative body"], rows)
 
 

@@ -262,12 +262,12 @@ def track(
         if said is not None:
             typer.echo(said)
         say_written(out, [*contents, TRACK_FILES.estimate])
-        typer.echo(command_after("view", out))
         if page is None:
             typer.echo(
                 f"note: {TRACK_FILES.page} needs the extra 'report', which is not installed: "
                 f"{install_command('report')}"
             )
+        typer.echo(command_after("view", out))
 
 
 def _true(path: Path) -> "Run":

@@ -1,5 +1,6 @@
 """`giajax wind`: the wind acting on a resting arm, estimated from its motion."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -148,7 +149,8 @@ def _show(found: "WindFit") -> None:
         error = one.standard_error
         word = "not determined" if one.free else "fixed"
         value, digits = format_estimate(one.value, error)
-        rows.append([name, value, word if error is None else digits, one.unit or None])
+        known = error is not None and math.isfinite(error)
+        rows.append([name, value, digits if known else word, one.unit or None])
     print_table(["parameter", "value", "standard error", "unit"], rows)
     flow = ", ".join(f"{part:.4g}" for part in found.wind.mean)
     typer.echo(f"\nmean flow ({flow}) m/s; {len(found.channels)} channels")

@@ -207,7 +207,7 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         note="Each quantity was fixed at a series of values while all others were fitted. "
         "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
         f"error. The {100 * found.level:.3g} % interval ends where the solid line crosses the "
-        "horizontal line. At orange squares, another parameter is at a bound.",
+        "horizontal line. At orange-red squares, another parameter is at a bound.",
     )
 
 

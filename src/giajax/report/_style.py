@@ -46,7 +46,8 @@ class CaptionedFigure(Figure):
 
     Attributes:
         caption: sentences that explain panels, symbols, colours and units to a reader who does not
-            know giajax. They are in the metadata of each file and beside further formats.
+            know giajax. They are in the metadata of each file, and in a text file beside it if
+            `pictures_as` selects a format or a resolution.
     """
 
     caption: str = ""

@@ -49,7 +49,7 @@ def format_estimate(value: Any, standard_error: float | None) -> tuple[str, str]
     if max(abs(value), standard_error) >= _LEAST_FIXED and -4 <= decimals <= 7:
         places = max(decimals, 0)
         return (
-            f"{round(value, decimals):.{places}f}",
+            f"{round(value, decimals) + 0.0:.{places}f}",  # never -0
             f"{round(standard_error, decimals):.{places}f}",
         )
     digits = 0 if value == 0 else math.floor(math.log10(abs(value))) - exponent + 1

@@ -327,7 +327,7 @@ def solid_and_dotted(
     """Plot three columns of two tables, each of shape (sample, number), versus time."""
     for (number, colour), mark in zip(colours.items(), "os^", strict=True):
         solid, dotted = (values[:, number - 1] for values in both)
-        style: Any = {"color": colour, "marker": mark, "ms": 4, "markevery": len(times) // 14}
+        style: Any = {"color": colour, "marker": mark, "ms": 4, "markevery": 0.07}
         panel.plot(times, solid, linewidth=1.6, label=f"{what} {number}", **style)
         panel.plot(times, dotted, linewidth=1.2, linestyle=(0, (1, 1.5)), **style)
 

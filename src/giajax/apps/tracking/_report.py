@@ -248,7 +248,15 @@ TRACK_HEADINGS = (
 
 def track_rows(found: Track) -> list[tuple[str, ...]]:
     """Return rows for tip, wind, parameters, biases, and the joint with the largest uncertainty."""
-    rows: list[tuple[str, ...]] = []
+    return [
+        (name, unit, *format_estimate(mean, spread), format_estimate(mean, after)[1])
+        for name, unit, mean, spread, after in _final(found)
+    ]
+
+
+def _final(found: Track) -> list[tuple[str, str, float, float, float]]:
+    """Return names, units, final estimates, and deviations: final ones and means when smoothed."""
+    rows: list[tuple[str, str, float, float, float]] = []
     smooth = _quantities(found.smoothed)
     latest = found.filtered
     least = int(np.argmax(latest.angle_deviations[-1]))
@@ -256,12 +264,11 @@ def track_rows(found: Track) -> list[tuple[str, ...]]:
         if name.startswith("joint") and name != f"joint{least + 1:02d}_angle":
             continue
         words = name if not name.startswith("joint") else f"{name} (largest uncertainty)"
-        after = f"{float(factor * np.mean(smooth[name][1])):.2g}"
+        after = float(factor * np.mean(smooth[name][1]))
         unit = unit.replace("_per_", "/")
         if name in latest.parameters:
             unit = find(found.arm.model, name).declaration.unit or "-"
-        last = format_estimate(float(factor * mean[-1]), float(factor * spread[-1]))
-        rows.append((words, unit, *last, after))
+        rows.append((words, unit, float(factor * mean[-1]), float(factor * spread[-1]), after))
     return rows
 
 
@@ -298,7 +305,7 @@ def track_facts(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> dic
         },
         "at_the_end": [
             {"state": row[0], "unit": row[1], "value": row[2], "deviation": row[3]}
-            for row in track_rows(found)
+            for row in _final(found)
         ],
         "hardly_seen": [
             {"state": name, "before": before, "after": after} for name, before, after in hidden

@@ -107,7 +107,7 @@ def _notes(found: WindFit, covariance: np.ndarray, expects: WindModel) -> tuple[
     if not found.converged:
         notes.append(
             "the fit did not converge to a maximum of the likelihood, so its standard errors are "
-            "not reliable: start with better initial values, or fix more parameters"
+            "not reliable: start with better initial values, or hold more parameters fixed"
         )
     for name, error in zip(found.free, errors, strict=True):
         if error > OPEN:
