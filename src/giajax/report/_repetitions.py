@@ -255,8 +255,8 @@ _INFLUENCE_CAPTION = (
     "part with the largest shift first. Columns: parameters. Each number is the estimate without "
     "the part minus the estimate with all data, divided by the standard error with all data. It "
     "follows from a new fit, or to first order from the derivatives. Red: the estimate increases "
-    "without the part. Blue: it decreases. Empty cells: "
-    "parameters of an omitted run."
+    "without the part. Blue: it decreases. Empty cells: parameters of an "
+    "omitted run."
 )
 
 

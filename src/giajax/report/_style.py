@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from ..fitting import FitResult
 from ..models import Block, Scene
-from ..runtime.pictures import CAPTION, SIGNATURE, Picture, caption_file, picture_formats
+from ..runtime.pictures import CAPTION, FORMATS, SIGNATURE, Picture, caption_file, picture_formats
 
 # Okabe and Ito's colours, which people with red-green colour blindness can distinguish.
 BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -109,11 +109,8 @@ def to_png(figure: Figure) -> Picture:
         engine.execute(figure)
         figure.set_layout_engine("none")
     with matplotlib.rc_context(_SETTINGS):
-        files = {
-            each: _saved(figure, each, chosen.dpi)
-            for each in ("png", *chosen.beside)
-            if each != CAPTION
-        }
+        wanted = [each for each in FORMATS if each in ("png", *chosen.beside)]
+        files = {each: _saved(figure, each, chosen.dpi) for each in wanted}
     if CAPTION in chosen.beside:
         files[CAPTION] = caption_file(_caption(figure))
     return Picture(files.pop("png"), files)

@@ -321,6 +321,17 @@ class _Preisach(Group):
     interaction = freed(0.3, "input", "standard deviation of the centres of the relays")
 
 
+_GAMMA = (
+    "coefficient of the dissipative term of the Bouc-Wen equation, which determines the width of "
+    "the loop"
+)
+_DELTA = (
+    "coefficient of the second nonlinear term of the Bouc-Wen equation, which determines the shape "
+    "of the loop"
+)
+_NU = "exponent of the Bouc-Wen equation, which determines the sharpness of the knee"
+
+
 class _BoucWen(Group):
     elastic = freed(
         0.5,
@@ -339,20 +350,18 @@ class _BoucWen(Group):
     gamma = freed(
         1.0,
         "",
-        "coefficient of the dissipative term of the Bouc-Wen equation, which determines the "
-        "width of the loop",
+        _GAMMA,
     )
     delta = Declaration(
         0.1,
         "",
-        "coefficient of the second nonlinear term of the Bouc-Wen equation, which determines "
-        "the shape of the loop",
+        _DELTA,
         frozen=False,
     )
     nu = Declaration(
         1.0,
         "",
-        "exponent of the Bouc-Wen equation, which determines the sharpness of the knee",
+        _NU,
         lower=0.5,
         upper=20,
     )
@@ -380,20 +389,18 @@ class _BoucWenOscillator(Group):
     gamma = freed(
         0.8,
         "",
-        "coefficient of the dissipative term of the Bouc-Wen equation, which determines the "
-        "width of the loop",
+        _GAMMA,
     )
     delta = Declaration(
         -1.1,
         "",
-        "coefficient of the second nonlinear term of the Bouc-Wen equation, which determines "
-        "the shape of the loop",
+        _DELTA,
         frozen=False,
     )
     nu = Declaration(
         1.0,
         "",
-        "exponent of the Bouc-Wen equation, which determines the sharpness of the knee",
+        _NU,
         lower=0.5,
         upper=20,
     )

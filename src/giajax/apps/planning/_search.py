@@ -135,6 +135,7 @@ class PlanProblem:
     distance, and one for all other constraints. The objective is linear in the unknowns.
 
     Attributes:
+        rate: largest rate of a joint, rad/s.
         start: initial guess of the unknowns.
         cost: coefficient of each unknown in the objective.
         low, high: bounds of the unknowns.
