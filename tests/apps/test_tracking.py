@@ -554,7 +554,7 @@ def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, c
     writer.join()
     printed = capsys.readouterr().out
     assert f"{run.times[58]:8.1f} s" in printed
-    assert "(not shown yet)" in printed
+    assert "(not yet determined)" in printed
     assert (tmp_path / "followed" / "track.json").exists()
     for wrong, says in (
         (["--live", "0"], "give a positive number of seconds"),

@@ -225,7 +225,7 @@ def heard_line(heard: Heard) -> str:
         parts.append("wind " + " ".join(f"{each:.2f}" for each in now.wind[0]) + " m/s")
     for path, values in now.parameters.items():
         spread = float(now.parameter_deviations[path][0])
-        hidden = "" if path in heard.shown else " (not shown yet)"
+        hidden = "" if path in heard.shown else " (not yet determined)"
         parts.append(f"{path} {float(values[0]):.4g} +- {spread:.2g}{hidden}")
     parts += [] if heard.nis is None else [f"NIS {heard.nis:.2f}"]
     return "\n".join([*map(change_sentence, heard.changes), "  ".join(parts)])
