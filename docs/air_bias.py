@@ -64,7 +64,7 @@ def breezy() -> Run:
 
 # For each row: the run, the change of the true arm, and the free parameters besides those of START.
 ROWS: dict[str, tuple[str, Callable[[Arm], Arm], tuple[str, ...]]] = {
-    "what made it": ("calm", lambda arm: arm, ()),
+    "generating model": ("calm", lambda arm: arm, ()),
     "no added mass": (
         "calm",
         lambda arm: _with_air(arm, added_mass_coefficient=None),
@@ -75,13 +75,17 @@ ROWS: dict[str, tuple[str, Callable[[Arm], Arm], tuple[str, ...]]] = {
         lambda arm: _with_air(arm, drag="centre"),
         (),
     ),
-    "the paper's: eq. (1), 0.047 kg a link": ("calm", lambda arm: takeichi_20m(arm.count), ()),
-    "what made it, with the wind as parameters": (
+    "the paper's model: eq. (1), 0.047 kg per link": (
+        "calm",
+        lambda arm: takeichi_20m(arm.count),
+        (),
+    ),
+    "generating model, with the wind as parameters": (
         "breeze",
         lambda arm: _with_air(arm, wind=0.0),
         ("air.wind",),
     ),
-    "what made it, without the wind": ("breeze", lambda arm: arm, ()),
+    "generating model, without the wind": ("breeze", lambda arm: arm, ()),
 }
 
 

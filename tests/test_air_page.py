@@ -32,7 +32,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
         stated = float(cells[4].removesuffix("%"))
         assert stated == pytest.approx(100 * (value / truth - 1), abs=0.1)
         # Only a model with all effects finds the true value.
-        assert (abs(value - truth) < 3 * error) == name.startswith(("what made it",)) or (
+        assert (abs(value - truth) < 3 * error) == name.startswith(("generating model",)) or (
             "without the wind" in name
         )
 
@@ -41,7 +41,7 @@ def test_the_page_has_a_row_for_every_fit_and_the_biases_that_they_show():
 def test_the_table_comes_out_of_its_script():
     bias, rows = script(), written()
     runs = {"calm": bias.CALM}
-    for name in "what made it", "the paper's: eq. (1), 0.047 kg a link":
+    for name in "generating model", "the paper's model: eq. (1), 0.047 kg per link":
         line = bias.line(name, bias.fitted(name, runs))
         found = [cell.strip() for cell in line.split("|")[1:-1]]
         for index in 2, 3, 5, 6, 8:
