@@ -315,7 +315,7 @@ SCRIPTS = {
     "FROM t;"
     " INSERT INTO topics SELECT * FROM t",
     # Columns that are absent from all rows, and none of which may be empty.
-    "takes much longer to read than its size suggests": "DROP TABLE messages; CREATE TABLE "
+    "takes much longer to read than is usual for its size": "DROP TABLE messages; CREATE TABLE "
     "messages(id,"
     " topic_id, timestamp, data); WITH RECURSIVE c(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM c"
     " WHERE x < 20000) INSERT INTO messages SELECT x, 1, 0, x'' FROM c;"

@@ -186,7 +186,7 @@ def test_pictures_tables_and_suspects_measure_by_one_noise():
     figure = residuals_figure(result, [recording], [predict(result.model, recording)])
     dots = figure.axes[-1].lines[0].get_ydata()
     assert dots == pytest.approx([sizes[name] for name in recording.observations], rel=1e-6)
-    assert "from sample to sample, up to" in summary(result)
+    assert "from sample to sample, and up to" in summary(result)
 
 
 def test_several_runs_with_states_of_their_own():

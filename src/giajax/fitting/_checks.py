@@ -108,7 +108,10 @@ def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature
 # data determine, it is Q^T dr.
 
 FINER = 0.01
-"""Factor on a tolerance for measuring its effect. A factor of 0.5 would underestimate it."""
+"""Factor by which a tolerance is multiplied to measure its effect on the estimates.
+
+A factor of 0.5 would underestimate this effect.
+"""
 
 # Factor for recordings with many rows. It takes two thirds of the time, and the rest of the effect
 # is extrapolated.

@@ -191,7 +191,8 @@ class WarmStart:
                 check_count(whole, path, value)
         except InputError as error:
             raise InputError(
-                f"the fit for the warm start has different parameters: {error}"
+                f"the fit for the warm start and the model of the runs have different parameters: "
+                f"{error}"
             ) from None
         return self.values
 

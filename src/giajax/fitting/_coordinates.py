@@ -353,7 +353,9 @@ def members(
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             remedy = f"did you mean '{near[0]}'?" if near else "use the file names of the runs"
-            raise InputError(f"the groups of '{path}' name '{name}', which is not a run: {remedy}")
+            raise InputError(
+                f"the groups of '{path}' contain '{name}', which is not a run: {remedy}"
+            )
     positions = tuple(
         tuple(i for i, run in enumerate(runs) if {run.name, run.recording} & set(names))
         for names in groups

@@ -198,8 +198,8 @@ def _correlated(state: FitState, statistics: Statistics) -> Iterator[Finding]:
         return
     advice = _unless_far_off(
         state,
-        "do not interpret one without the other, or separate them by a prior on one of them, or by "
-        "a run in which they act at different times",
+        "do not interpret one without the other; to separate them, give one of them a prior, or "
+        "add a run in which they act at different times",
     )
     for _, i, j in sorted(pairs, reverse=True)[:_MOST_PAIRS]:
         names = (statistics.labels[determined[j]], statistics.labels[determined[i]])

@@ -174,7 +174,7 @@ def _placed(triangles: Float[Array, "run row column"], batch: RunBatch, problem:
 # again for every fit.
 
 Stepped = tuple[Array, MarquardtState, Any, Any]
-"""Point and state of a solver, whether it has ended, and whether it is at an optimum."""
+"""Point and state of a solver, and whether the solver has ended and has reached an optimum."""
 
 
 @program

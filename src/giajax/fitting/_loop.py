@@ -307,7 +307,8 @@ def _at_start(state: FitState) -> FitState:
     if not state.evaluated:
         raise InputError(
             "the model cannot be evaluated at the initial values (the simulation fails): "
-            "choose other values (for an arm, softer or less damped joints), or use a shorter run"
+            "choose other values (for an arm, lower stiffness or damping of the joints), or use a "
+            "shorter run"
         )
     moves = responds(state.natural_jacobian.norms(), state.sizes)
     state = with_active(state, moves)

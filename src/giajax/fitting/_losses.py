@@ -300,8 +300,8 @@ def loss_of(said: str | Mapping[str, Any]) -> AbstractLoss:
         raise
     except Exception as error:
         raise InputError(
-            f"the loss {name} cannot be created ({error}): give numbers for its own "
-            "parameters, each of which needs a default"
+            f"the loss {name} cannot be created ({error}): give numbers as its parameters, and "
+            "define a numerical default for each parameter in its class"
         ) from None
     return loss
 

@@ -93,7 +93,8 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
         about = absent.declaration
         if not about.lower < about.neutral < about.upper:
             raise InputError(
-                f"[uncertainty] names {path}, which this model omits: give the value of {path}, too"
+                f"[uncertainty] contains {path}, which is not part of this model: give the value "
+                f"of {path}, too"
             )
         model = absent.set(model, about.neutral)
     if name in capabilities.scattering(model):

@@ -506,7 +506,7 @@ def restored(begun: FitState, journal: FitJournal) -> tuple[FitState, float]:
     last = lines[-1]
     coordinate, active = np.asarray(last.coordinate, dtype=float), np.asarray(last.active)
     if coordinate.shape != begun.coordinate.shape or active.shape != coordinate.shape:
-        raise ValueError("has a different number of free coordinates")
+        raise ValueError("differs from this fit in the number of free coordinates")
     if last.distances is not None:
         begun = in_coordinates(begun, begun.problem.bijector.linear_within(last.distances))
     there = at_tolerance(reweight(begun, begun.noise.again(last.noise)), last.tolerance)

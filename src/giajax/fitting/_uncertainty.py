@@ -585,7 +585,7 @@ def dense_cells(cells: Cells, alive: np.ndarray, slope: np.ndarray) -> Cells:
 
 
 Sources = Mapping[str, float | None]
-"""Factor on a standard error without each recording; None if it could not be determined."""
+"""Factor by which a standard error increases without each recording; None if unknown."""
 
 
 def sources(

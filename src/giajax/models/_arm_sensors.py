@@ -452,7 +452,7 @@ def camera_of(sensors: Sensors, channel: Channel) -> str:
         )
     if name is None and len(cameras) > 1:
         raise InputError(
-            f"channel {channel.name!r} does not name its camera: begin the name of the channel "
+            f"channel {channel.name!r} does not specify its camera: begin the name of the channel "
             f"with the name of a camera ({known}), as in '{next(iter(cameras))}.{channel.name}'"
         )
     if channel.kind == "mark_pixel" and mark_of(channel) not in sensors.landmark:

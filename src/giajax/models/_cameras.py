@@ -89,7 +89,7 @@ def undistorted(
 _AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 NEAR = 0.1
-"""Minimum distance in front of a lens, m: nearer points and points behind it are not seen."""
+"""Minimum distance in front of a lens at which a point is visible, m."""
 
 
 class Projection(NamedTuple):

@@ -131,8 +131,8 @@ class JointModel(AbstractModel):
         if held:
             shown = ", ".join(f"{path} = {float(get(self, path)):.4g} m" for path in held)
             sentences.append(
-                f"{', '.join(corrections)}: the correction of the torque is valid for this "
-                f"geometry, which is held at {shown}"
+                f"{', '.join(corrections)}: the correction of the torque is valid for the "
+                f"fixed values {shown}"
             )
         if "torque" not in free and any(
             run.model == self.kind and "torque" not in run.values for run in runs

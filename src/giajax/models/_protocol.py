@@ -146,9 +146,9 @@ class AbstractModel(ShownAsTable, eqx.Module):
     names_of_giajax: ClassVar[Sequence[str]] = tuple(KINDS)
 
     channels: ClassVar[tuple[ChannelKind, ...]] = ()
-    """For a user-defined class: rows of its runs in the column table, new or of other kinds."""
+    """For a user-defined class: rows of the column table for its runs, new or of other kinds."""
     section: ClassVar[type[Section] | None] = None
-    """For a user-defined class: the section in files that has its name, if there is one."""
+    """For a user-defined class: the section of files with the name of its kind, if there is one."""
     timed: ClassVar[bool] = True
     """For a user-defined class: True if its runs have times."""
 

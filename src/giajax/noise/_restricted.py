@@ -222,7 +222,7 @@ def orthonormal(gram: np.ndarray) -> np.ndarray:
 
 
 ByScale = Callable[[Float[np.ndarray, "noise scale"]], Float[np.ndarray, "noise scale"]]
-"""-2 log L as a function of the logarithms of factors on each of several noises of one key."""
+"""-2 log L as a function of the logarithms of the factors of several noises of one key."""
 
 
 class _Others(NamedTuple):

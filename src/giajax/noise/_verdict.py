@@ -392,7 +392,7 @@ def runs_disagree(series: Sequence[Series]) -> Reason | None:
             size = float(np.sqrt(ratio))
             sentence = (
                 f"the runs disagree: the residuals of {each.channel} are {size:.3g} times as "
-                f"large in {each.run} as in the others"
+                f"large in {each.run} as in the other runs"
             )
             p = tail(len(each), degrees_of_freedom, ratio)
             yield Reason("runs", sentence, p, size, (each.channel,))

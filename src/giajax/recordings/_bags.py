@@ -405,7 +405,7 @@ def _reading(path: Path) -> Iterator[None]:
                 f"set TMPDIR to another folder"
             )
         elif getattr(cause, "sqlite_errorname", "") == "SQLITE_INTERRUPT":
-            says = "takes much longer to read than its size suggests: record it again"
+            says = "takes much longer to read than is usual for its size: record it again"
         else:
             raise
         raise InputError(f"{path} {says}") from None

@@ -327,7 +327,8 @@ class FitSettings(Section):
     )
     nuisances: bool = key(
         "true or false",
-        "Fit the parameters that are always uncertain, with priors; false: hold them.",
+        "Fit the nuisance parameters, which are always uncertain, with priors; false: hold them "
+        "fixed.",
         default=True,
     )
     channels: list[Name] | None = key(
@@ -343,7 +344,8 @@ class FitSettings(Section):
         "a positive number", "Split runs into windows with separate initial states."
     )
     windows_first_s: Positive | None = key(
-        "a positive number", "Fit windows of this length first, then whole runs from that result."
+        "a positive number",
+        "First fit windows of this length, then fit the whole runs starting from that result.",
     )
     starts: Annotated[int, Field(ge=1, le=STARTS)] = key(
         f"a whole number from 1 to {STARTS}",
@@ -352,15 +354,17 @@ class FitSettings(Section):
     )
     spread: Positive = key(
         "a positive number",
-        "Relative spread of the other starting points; 0.3 is 30 percent.",
+        "Relative spread of the starting points about the first one; 0.3 is 30 percent.",
         default=0.3,
     )
     seed: Annotated[int, Field(ge=0)] = key(
-        "zero or a positive whole number", "Random seed of the other starting points.", default=0
+        "zero or a positive whole number",
+        "Seed of the random numbers for the starting points after the first one.",
+        default=0,
     )
     validation: list[Name] = key(
         "a list of file names",
-        "Runs that are not fitted and that the result must predict.",
+        "Runs that are not fitted, but are used to test the predictions of the result.",
         default=[],
     )
     loss: Annotated[Loss | str | dict[str, Any], BeforeValidator(_known_loss)] = key(
@@ -371,7 +375,7 @@ class FitSettings(Section):
     )
     noise_model: NoiseModel = key(
         '"correlated" or "white"',
-        "Noise model: correlated, which estimates correlated noise, or white.",
+        "Noise model: correlated (the correlated part of the noise is estimated) or white.",
         default="correlated",
     )
     noise_per_run: bool = key(
@@ -508,13 +512,15 @@ class Figure(Section):
     value: Finite | None = key("a number", "expected value")
     standard_errors: Positive | None = key(
         "a positive number",
-        "maximum deviation of the result from the value, in units of the standard error",
+        "maximum deviation of the fitted value from the expected value, in units of the standard "
+        "error",
     )
     relative_error: Positive | None = key(
         "a positive number", "maximum standard error, relative to the fitted value"
     )
     within: Positive | None = key(
-        "a positive number", "maximum deviation of the result from the value, relative to the value"
+        "a positive number",
+        "maximum deviation of the fitted value from the expected value, relative to the latter",
     )
     determined: bool | None = key(
         "true or false", "false: the run must not determine the parameter"
@@ -527,8 +533,8 @@ class Figure(Section):
         if self.determined is False:
             if any(item is not None for item in goals):
                 raise ValueError(
-                    "gives determined = false and a figure to reach, but may give only one of "
-                    "them: remove one"
+                    "gives determined = false and also a value or an accuracy to reach, but may "
+                    "give only one of the two: remove one"
                 )
         elif (self.value is None) != (distances == [None, None]) or goals == [None] * 4:
             raise ValueError(

@@ -491,7 +491,7 @@ def _in_first_rows(pose: _Pose, asked: Sequence[Mistake]) -> Iterator[_Undone]:
     left = float(np.max(np.abs(rest - rows @ found)))
     turned_so = degrees < 30 and left <= max(enough, 0.2 * np.max(np.abs(rest))) and len(points) > 6
     how = f"the frame of the camera may be rotated by {degrees:.2g} deg" if turned_so else (
-        "the arm may start in another state, or axes, labels or lengths may be wrong"
+        "the arm may not be straight at the start, or axes, labels or lengths may be wrong"
     )  # fmt: skip
     yield _Undone(
         "frame",

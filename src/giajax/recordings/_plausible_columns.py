@@ -321,8 +321,8 @@ def takes(look: Look) -> Iterator[Oddity]:
     if at:
         yield Oddity(
             "take",
-            f"all recorded values return to their first values at once in {look.at(at)}, so a "
-            "second recording seems to start there",
+            f"all recorded values simultaneously return to their first values in {look.at(at)}, so "
+            "a second recording seems to start there",
             "split the file there, and give both parts with --data",
             tuple(each.channel.name for each in moving),
             look.numbers(at),

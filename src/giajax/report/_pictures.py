@@ -293,7 +293,7 @@ def _caption(line: str, across: str, several: bool, *, hollow: bool, any_recorde
         parts.append(f"Hollow{colour} {dots}: recorded values that were held out of the fit.")
     if any_recorded or hollow:
         which = ", without the held-out values" if any_recorded and hollow else ""
-        most = "; of several components, the largest one is given" if several else ""
+        most = "; for several components, the largest RMSE is given" if several else ""
         parts.append(
             "RMSE: root-mean-square of the differences between recorded and predicted values"
             f"{which}{most}. Cells that were not measured are gaps between the {dots}."
@@ -427,23 +427,23 @@ def residuals_figure(
 
 
 _SPREAD_CAPTION = (
-    "Residuals (recorded - fitted) of the run with the largest ones, divided by the standard "
+    "Residuals (recorded - fitted) of the run with the largest residuals, divided by the standard "
     "deviation of white noise. Map: mean residuals of each channel in equal intervals of time "
     "or sample (red: positive, blue: negative). Missing values count as 0."
 )
 
 _CAUSES_CAPTION = (
-    "Bottom: component common to the channels, from the largest singular value of the residuals "
-    "and with arbitrary sign, versus the command with the largest range and related quantities. "
-    "Grey dots: samples. Orange-red: means with standard errors of groups of equal numbers of "
-    "samples."
+    "Bottom: component common to the channels versus the command with the largest range and versus "
+    "related quantities. The component belongs to the largest singular value of the residuals. Its "
+    "sign is arbitrary. Grey dots: samples. Orange-red: means with standard errors of groups of "
+    "equal numbers of samples."
 )
 
 
 def left_over_figure(
     result: FitResult, runs: Sequence[Run], predictions: Sequence[Mapping[str, np.ndarray]]
 ) -> Figure:
-    """Plot the unexplained residuals of the run with the largest ones.
+    """Plot the unexplained residuals of the run with the largest residuals.
 
     The first panel shows them versus time and along the arm. The others show the component that is
     common to the channels versus the command with the largest range, its rate, and the angle and

@@ -383,7 +383,7 @@ def _table(summary: PosteriorSummary, result: FitResult, most: int | None = None
 
 
 def _chains(summary: PosteriorSummary) -> str:
-    return f"{summary.chains} chains of {summary.draws} draws, {summary.divergences} diverged"
+    return f"{summary.chains} chains of {summary.draws} draws; {summary.divergences} draws diverged"
 
 
 def _sentences(summary: PosteriorSummary, most: int | None) -> list[str]:

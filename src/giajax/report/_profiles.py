@@ -86,7 +86,10 @@ def _caption(level: float, curves: list[ProfileCurve]) -> str:
         "deviance reaches the horizontal line (the squared quantile of Student's t), or at a bound."
     )
     if any(None in curve.interval for curve in curves):
-        caption += " Where an end was not found, the shading extends to the last point shown."
+        caption += (
+            " Where an end of the interval was not found, the shading extends to the last point "
+            "shown."
+        )
     if any(curve.bounded[_shown(curve.deviances, curve.level)].any() for curve in curves):
         caption += " Orange-red squares: another parameter has reached a bound."
     return caption
@@ -204,10 +207,10 @@ def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:
         early=True,
         table=_table(found, result),
         plots=[(curve.name, _plot(curve)) for curve in curves],
-        note="Each quantity was fixed at a series of values while all others were fitted. "
-        "Solid line: increase of the deviance. Dashed line: its approximation from the standard "
-        f"error. The {100 * found.level:.3g} % interval ends where the solid line crosses the "
-        "horizontal line. At orange-red squares, another parameter is at a bound.",
+        note="Each quantity was fixed at a series of values, while all other parameters were "
+        "fitted. Solid line: increase of the deviance. Dashed line: its approximation from the "
+        f"standard error. The {100 * found.level:.3g} % interval ends where the solid line crosses "
+        "the horizontal line. At orange-red squares, another parameter is at a bound.",
     )
 
 

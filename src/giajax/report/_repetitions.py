@@ -254,9 +254,8 @@ _INFLUENCE_CAPTION = (
     "Rows: parts of the data (runs, markers, channels or spans of time) that were left out, the "
     "part with the largest shift first. Columns: parameters. Each number is the estimate without "
     "the part minus the estimate with all data, divided by the standard error with all data. It "
-    "follows from a new fit, or to first order from the derivatives. Red: the estimate increases "
-    "without the part. Blue: it decreases. Empty cells: parameters of an "
-    "omitted run."
+    "is computed from a new fit, or to first order from the derivatives. Red: the estimate "
+    "increases without the part. Blue: it decreases. Empty cells: parameters of an omitted run."
 )
 
 

@@ -11,7 +11,7 @@ from ._style import BLUE, GREY, columns_of, new_figure, plain, plain_colorbar, t
 _MOST_NAMES = 25  # more names next to a map are not legible
 
 _CAPTION = (
-    "Each row is for one parameter, whose value is stated above the map. Left: share of each body "
+    "Each row shows one parameter, whose value is stated above the map. Left: share of each body "
     "or channel in the Fisher information on this parameter alone, for white noise. Right: norm "
     "of the derivative of the position of each body, or absolute value of the derivative of each "
     "other channel, with respect to the parameter, versus time or sample; the rows are in the "

@@ -180,7 +180,7 @@ def explained_summary(found: Explanation) -> list[str]:
             sentences.append(
                 f"{one.path} = {value} +- {error}{unit}, where "
                 f"{format_number(one.selection_error, '.2g')} of the error is due to the other "
-                "models that fit nearly as well"
+                "models that fit nearly as well as the selected one"
             )
         sentences.append(
             "the errors are conditional on a model that was selected with the same data"
@@ -203,7 +203,8 @@ RecordView(
         table=explained_table(found, [*found.steps, *(found.tried[i] for i in found.near)]),
         sentences=explained_summary(found),
         note="One row for each step, followed by one row for each other model that fits nearly as "
-        "well. Chi-square and BIC are computed with the white noise of the last step.",
+        "well as the selected one. Chi-square and BIC are computed with the white noise "
+        "of the last step.",
     ),
 )
 

@@ -25,7 +25,7 @@ RESULT = "result.json"
 PAGE = "report.html"
 
 MOST_RUNS = 6
-"""Maximum number of runs that are drawn, because a picture takes a second."""
+"""Maximum number of runs that are drawn. Each picture takes about a second."""
 
 
 def worth_drawing(result: FitResult) -> list[int]:
@@ -219,7 +219,7 @@ def _starts(result: FitResult) -> list[str]:
     worse = sorted((end - best) / values for end in ends if end - best >= SAME_END * values)
     if worse:
         text += (
-            f"; the log-likelihood per value of the others is lower by {worse[0]:.2g} to "
+            f"; the log-likelihood per value of the other starts is lower by {worse[0]:.2g} to "
             f"{worse[-1]:.2g}"
         )
     lines = [text]
@@ -289,8 +289,8 @@ def _residuals(run: RunFit) -> list[str]:
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         if weights > _WEIGHTED:
             against += (
-                f" from sample to sample, up to {weights:.3g} times as large in the weights of the "
-                "fit"
+                f" from sample to sample, and up to {weights:.3g} times this noise in the weights of "
+                "the fit"
             )
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")

@@ -318,7 +318,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 
 ATTEMPTS = 3
-"""Maximum number of attempts at a task whose worker ends. A cluster has its own limit."""
+"""Maximum number of attempts at a task if its worker ends. A cluster has its own limit."""
 
 _AHEAD = 256  # maximum number of tasks submitted to an executor of the caller
 _BETWEEN_S = 2.0  # interval between checks of the scheduler of a cluster, s

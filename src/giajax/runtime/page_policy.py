@@ -35,5 +35,5 @@ def with_policy(page: bytes, scripts: str | None = None, connect: str = "data: b
     said = policy(own_scripts(page) if scripts is None else scripts, connect)
     meta = f'<meta http-equiv="Content-Security-Policy" content="{said}">\n'.encode()
     found, count = _FIRST.subn(lambda first: meta + first[0], page, count=1)
-    assert count, "internal error: the page has no style or script for the policy to precede"
+    assert count, "internal error: the page has no style or script that the policy could precede"
     return found

@@ -30,7 +30,7 @@ from ._kind import (
 from ._quantities_arm import AIR, BASE, CONTACT, NO_NEUTRAL
 
 PRESSURES = ("joint_pressure_first", "joint_pressure_second")
-"""Rows of the column table: a positive angle bends a joint towards the muscle of the first row."""
+"""Rows of the column table. A positive angle bends a joint towards the muscle of the first row."""
 
 
 def check_pressures(content: RecordedRun, naming: Naming) -> None:

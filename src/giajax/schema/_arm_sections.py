@@ -619,7 +619,8 @@ class SensorsSection(Section):
 
     own: dict[Annotated[str, AfterValidator(_known_sensor)], _Numbers] | None = key(
         "a table of sensors by name, each with its parameters by name and their values in SI units",
-        "additional sensors; sensors of recorded columns have their defaults unless set here",
+        "additional sensors; parameters of sensors with recorded columns have their defaults "
+        "unless set here",
         example={"gyroscope": {"offset_z": 0.01}},
         entry="a table of parameters by name and their values in SI units",
     )

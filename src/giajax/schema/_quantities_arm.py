@@ -333,7 +333,7 @@ INITIAL = _Initial("initial")
 
 NO_NEUTRAL = (LINKS.length, LINKS.diameter, LINKS.mass,
               JOINTS.pitch_stiffness, JOINTS.yaw_stiffness, JOINTS.damping)  # fmt: skip
-"""Quantities that a user's arm must give, because they have no neutral default."""
+"""Quantities that must be given for a user's arm, because they have no neutral default."""
 
 
 class _Contact(Group):
@@ -365,7 +365,7 @@ CONTACT = _Contact("contact")
 # Sensors of an arm (camera, markers, angle sensors), and its filling.
 
 _LONGEST_DELAY = 5.0
-"""Largest delay of a clock, s: a larger one indicates a wrong file."""
+"""Largest permitted delay of a clock, s. A larger delay indicates a wrong file."""
 
 
 def delay(key: str, doc: str) -> Declaration:
@@ -622,7 +622,7 @@ class _Film(Group):
     creep = Declaration(
         1.0,
         "",
-        "fraction of its curvature in the roll that the film retains when it is unrolled: 0 for "
+        "fraction of the curvature in the roll that the film retains when it is unrolled: 0 for "
         "elastic film, which drives the roll; 1 for fully crept film, which must be straightened",
         lower=0,
         upper=1,

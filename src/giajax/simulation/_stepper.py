@@ -160,8 +160,8 @@ class Stepper(eqx.Module):
         command = _row("command", self.arm.count, command)
         if moment.wind is None and wind is not None:
             raise InputError(
-                "a wind is given after a start in still air: give a wind at the start, for "
-                "example 0 m/s"
+                "a wind is given, but the simulation was started in still air: give a wind at the "
+                "start, for example 0 m/s"
             )
         if moment.wind is not None:
             wind = moment.wind if wind is None else _row("wind", moment.wind.size, wind)

@@ -18,8 +18,8 @@ from ._score import responses_of, white_noise
 # that changes with time, however, switching on the added mass also switches on the pressure of the
 # accelerating air, which acts on every body that displaces air.
 _REASON = (
-    "the neutral value of the parameter also changes the predictions for these runs, so the "
-    "parameter cannot be tested: free it in a fit"
+    "including the parameter changes the predictions for these runs even at its neutral value, so "
+    "the parameter cannot be tested: free it in a fit"
 )
 
 # Fraction of the noise of a channel. Changes of the integrator's steps have a much smaller effect.

@@ -65,10 +65,16 @@ from ._suspects import Suspects, outlying, significant
 from ._systematic import with_suspects
 
 NEARNESS = 6.0
-"""Largest excess of BIC at which a model fits nearly as well (odds of 1 to 20)."""
+"""Largest BIC difference from the selected model for a model that fits nearly as well as it.
+
+This difference corresponds to odds of 1 to 20.
+"""
 
 ROBUST = "huber"
-"""Loss used if outliers are found. With others, a wrong model treats its misfit as outliers."""
+"""Loss used if outliers are found.
+
+Other losses would treat the misfit of a wrong model as outliers.
+"""
 
 # Maximum number of steps. Five omitted effects, three of which are at first mistaken for others,
 # require this many.
@@ -410,7 +416,8 @@ def explain(
     if len(record.steps) > 1 or last.loss != result.loss:
         sentence = (
             "the model was selected with these data: standard errors are conditional on it, and "
-            "explain.json adds the spread over models that fit nearly as well (selection_error)"
+            "explain.json also contains the spread over models that fit nearly as well as this one "
+            "(selection_error)"
         )
         last = dataclasses.replace(last, conditions=(*last.conditions, sentence))
     return Explained(record, last, final.runs)

@@ -92,7 +92,8 @@ class Explanation(
         tried: fits that were not accepted.
         near: indices of the fits in `tried` whose BIC exceeds that of the last step with the same
             number of values (`behind`) by less than `nearness`.
-        nearness: largest excess of BIC at which a model fits nearly as well.
+        nearness: largest BIC difference from the selected model for a model that fits nearly as
+            well as it.
         parameters: requested parameters.
         axes: whether the runs were recorded in other axes; the corrected runs are stored beside
             this file.

@@ -61,13 +61,13 @@ def end_of(start: Mapping[str, float], result: FitResult) -> Start:
 
 
 End = tuple[Start, FitResult | None]
-"""The end of a start, and its result; None for one that failed or was fitted before."""
+"""Record of a start, and its result; None for a start that failed or was fitted before."""
 
 One = Callable[[int, Sequence[FitResult], Tell], End | None]
-"""Fits the start of a number, given earlier results. Returns None if no time is left for it."""
+"""Fits the start with a given number, using earlier results. Returns None if no time is left."""
 
 Others = Callable[[Sequence[int], Sequence[FitResult]], list[End]]
-"""Fits the starts of several numbers, given earlier results."""
+"""Fits the starts with several given numbers, using earlier results."""
 
 
 def in_order(

@@ -429,7 +429,7 @@ def _neutrally(model: AbstractModel, path: str) -> AbstractModel:
 
 
 MOST = 6
-"""Default limit on the steps of a selection."""
+"""Default maximum number of steps of a selection."""
 
 TRIES = 3
 """Default number of suspects that are fitted at each step."""

@@ -45,7 +45,7 @@ from ._score import (
 )
 
 UNEXPLAINED = "unexplained"
-"""Code of the reason of a verdict if no suspect explains the residuals."""
+"""Code of the reason for a verdict if no suspect explains the residuals."""
 
 # Ratio of the residuals to the noise that a verdict accepts.
 _EXPLAINED = 1.1

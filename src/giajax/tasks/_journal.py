@@ -185,7 +185,10 @@ def version_note(versions: Mapping[str, str]) -> str:
             now = "none"
         if now != before:
             changed.append(f"{name} {before} before, {now} now")
-    shown = f"different versions are installed ({'; '.join(changed)}): the last digits may differ"
+    shown = (
+        f"different versions are installed ({'; '.join(changed)}): the last digits of the result "
+        "may differ"
+    )
     return shown if changed else ""
 
 
@@ -399,8 +402,9 @@ class Part:
     def bits_differ(self) -> None:
         """Warn that this machine computes slightly different numbers."""
         self.journal.warn(
-            "this machine or its libraries give last digits that differ from those of the journal: "
-            "the fit continues, and the last digits of the result may differ"
+            "with this machine or its libraries, the last digits differ from those of the journal: "
+            "the fit continues, but the last digits of the result may differ from those of an "
+            "uninterrupted fit"
         )
 
 

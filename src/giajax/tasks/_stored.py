@@ -110,7 +110,7 @@ def compared(result: "FitResult", before: Mapping[str, Any]) -> str:
     if not moved:
         return "the estimates are identical bit for bit, but quantities derived from them differ"
     by, path = max(moved)
-    return f"the numbers are not the same: the relative difference in {path} is {by:.1e}"
+    return f"the estimates differ: the relative difference in {path} is {by:.1e}"
 
 
 def reached_by(result: "str | Path | FitResult") -> dict[str, Any]:

@@ -437,7 +437,7 @@ class Astray(Memory):
             "Astray.travelled does not match the integral of Astray.rate over a short path at",
         ),
         (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
-        (Coupled(), "Coupled.torque depends on another joint at .*: compute each joint from its"),
+        (Coupled(), "Coupled.torque depends on another joint at .*: compute each value from the"),
         (Tethered(), "Tethered.torque depends on another joint at"),
         (Shared(), "Shared.unstrained depends on another joint at"),
         (Called(), "Called.rows is a method: give the number of states"),
@@ -467,7 +467,7 @@ class Astray(Memory):
             "Stiffer.slopes does not match the negative derivative of the torque with respect to "
             "the angles at",
         ),
-        (Cooler(), "Cooler.dissipation does not match the loss from torque and energy at"),
+        (Cooler(), "Cooler.dissipation does not match the loss computed from torque and energy at"),
         (
             Misled(),
             "Misled.torque has a derivative with respect to the states that does not match finite "

@@ -66,7 +66,10 @@ class AbstractJointLaw(eqx.Module):
     passive: ClassVar[bool] = True
     """Whether the law never releases more energy than it has stored."""
     largest_angle: ClassVar[float] = np.inf
-    """Angle (rad) up to which `stiffest` is a bound. Beyond it, error control limits the steps."""
+    """Angle (rad) up to which `stiffest` is an upper bound of the stiffness.
+
+    At larger angles, error control limits the steps.
+    """
 
     @property
     @optional

@@ -297,7 +297,7 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
             "at 0)"
         )
         refuse(method, "has a value that is not finite", ~np.isfinite(value), finite)
-        apart = "compute each joint from its own angle, rate, command, states and pressures"
+        apart = "compute each value from angle, rate, command, states and pressures of its joint"
         moves = found["others"][method] > 1e-9 * largest(value)
         refuse(method, "depends on another joint", moves, apart)
         for given, parts in found["slopes"].items():
@@ -343,6 +343,6 @@ def _judge(law: AbstractJointLaw, at: JointState, found: dict[str, Any]) -> None
         what = f"releases more energy than {name}.energy had stored"
         refuse("torque", what, lost < -margin, "correct one of them, or set passive = False")
     if type(law).dissipation is not AbstractJointLaw.dissipation:
-        what = "does not match the loss from torque and energy"
+        what = "does not match the loss computed from torque and energy"
         wrong = ~between(lost, found["dissipation"], margin)
         refuse("dissipation", what, wrong, "correct it, or remove it, so that derivatives are used")

@@ -139,8 +139,8 @@ class Pneumatics(AbstractJointLaw):
         correction = self.joint.correction
         if correction.reading == "printed":
             raise InputError(
-                "the corrections of an arm's muscles are as printed, with jumps of beta at 2 and "
-                '20 deg that would stop a joint there: use "continuous" or "none"'
+                "the corrections of an arm's muscles are those printed in the paper, and the jumps "
+                'of beta at 2 and 20 deg would stop a joint there: use "continuous" or "none"'
             )
         if correction.reading == "continuous" and not correction.blend > 0:
             raise InputError(

@@ -265,7 +265,7 @@ class BoucWen(AbstractOperator):
         needed = _PER_KNEE * width * float(self.stiffness(z))
         if not needed < _MOST:
             raise InputError(
-                f"the knee of the Bouc-Wen operator is too narrow for a range of {width:g} "
+                f"the knee of the Bouc-Wen operator is too narrow for an input change of {width:g} "
                 "(SI): fit a smaller beta, gamma or nu"
             )
         return dataclasses.replace(self, substeps=max(self.substeps, int(np.ceil(needed))))

@@ -71,9 +71,9 @@ class AbstractMuscle(eqx.Module):
 
     name: ClassVar[str]
     own_motion: ClassVar[int]
-    """Sign of the recorded displacement that its own force causes: +1 where it shortens."""
+    """Sign of the recorded displacement due to the actuator's own force: +1 for a shortening."""
     pushes: ClassVar[bool]
-    """Whether its force may be negative. Otherwise it is slack beyond its reach."""
+    """Whether the force may be negative. If not, the actuator is slack beyond its reach."""
     pressure_limit: eqx.AbstractVar[Scalar]
     """Highest pressure, Pa."""
 

@@ -76,7 +76,7 @@ def opening(result: FitResult) -> Opening:
     ]
     fits = "The fit has converged and the model describes the data to within the noise, but "
     if result.status != "converged":
-        grade, headline = "bad", f"Do not use these numbers yet: {result.message}"
+        grade, headline = "bad", f"Do not use the estimates yet: {result.message}"
     elif result.verdict.status == "inadequate":
         grade = "bad"
         headline = (
@@ -179,7 +179,7 @@ def _computation(result: FitResult) -> list[str]:
         said.append("the effect of a smaller solver tolerance was not checked")
     if largest is not None and largest > _NOTABLE:
         said.append(
-            f"a smaller tolerance of the solver would change a value by {largest:.2g} standard "
+            f"a smaller tolerance of the solver would change an estimate by {largest:.2g} standard "
             "errors"
         )
     if _has_wrong_derivatives(result):
