@@ -289,8 +289,8 @@ def _residuals(run: RunFit) -> list[str]:
         against = f"{noise[0]:.3g}" + (f" to {noise[-1]:.3g}" if noise[-1] > noise[0] else "")
         if weights > _WEIGHTED:
             against += (
-                f" from sample to sample, and up to {weights:.3g} times this noise in the weights of "
-                "the fit"
+                f" from sample to sample, and up to {weights:.3g} times this noise in the weights "
+                "of the fit"
             )
         counts = _counts(names, sum(channels[name].n for name in names))
         lines.append(f"{run.name}: RMSE {shown}{unit}; noise {against}; {counts}")
