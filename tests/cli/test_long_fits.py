@@ -285,4 +285,6 @@ def test_the_time_left_is_said_as_far_as_it_is_known(monkeypatch):
     several.start()
     (sentence, *_) = told(several, 10.0, range(8))
     assert sentence.startswith("about ")
-    assert sentence.endswith("left until all 8 starts are done, estimated from the previous starts")
+    assert sentence.endswith(
+        "left until the fits from all 8 initial guesses are done, estimated from the previous fits"
+    )

@@ -343,8 +343,8 @@ _CAPTION = (
     "Dots are measured angles after each step of the target angle, in the order of the connecting "
     "line. On the dashed grey line both angles are equal. Columns: without compensation "
     "(orange-red), with eq. (12) of the paper (blue), and with the inverse of a fitted operator "
-    "(green). Upper row: the paper's history, from which each trial's own offset is subtracted, "
-    "the one that minimises its mean error. Lower row: a history that was not used for "
+    "(green). Upper row: the paper's history of target angles. From each trial, the offset that "
+    "minimises its mean error is subtracted. Lower row: a history that was not used for "
     "identification, with the offset of the recording. Errors are absolute values."
 )
 

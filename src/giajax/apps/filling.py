@@ -612,7 +612,7 @@ def filling_figure(filled: Filled) -> Figure:
     lifts = not np.isnan(filled.arm_lift_off)
     mark = " At the dashed line, the lift of all links begins to exceed their total weight."
     caption = (
-        "The lines are the links, coloured from dark purple (base) to light green (tip). The fill "
+        "Each line is a link, coloured from dark purple (base) to light green (tip). The fill "
         "level is the volume of the gas in a link divided by the volume of its tube. Net lift is "
         "the mass that a link could carry in addition to its own. Bending stiffness is that of an "
         "inflated membrane tube (Comer and Levy) that bears the bending moment of its own weight."
@@ -660,7 +660,8 @@ def curve_figure(curve: FillingCurve) -> Figure:
     title = f"Port diameters and supplies for filling within {curve.duration / _MINUTE:g} min"
     missing = " Diameters with which no supply suffices are omitted."
     caption = (
-        "Each dot is a diameter of all ports and a supply with which filling takes this time. "
+        "Each dot is a diameter of all ports and a supply with which filling takes the time in the "
+        "title. "
         "Left: diameter versus the initial flow of the supply, which is a volume flow at ambient "
         "pressure. Right: largest gauge pressure in the first bag, at the base, versus diameter. "
         f"The ordinate on the right is logarithmic.{missing if np.isnan(curve.flows).any() else ''}"

@@ -423,7 +423,8 @@ def shape_command(
         rows.append(study.row(name, study.tuned(name) if tuned else study.usual(name)))
     if modes[0].damping > _MOST_DAMPED:
         notes.append(
-            "a swing of this size is overdamped by the air: the arm comes to rest without swinging"
+            "a swing of this amplitude is overdamped by the air: the arm comes to rest without "
+            "oscillating"
         )
     if lost := len(drawn) - min(len(row.drawn) for row in rows):
         notes.append(f"the motion could not be simulated with {lost} of {len(drawn)} draws")
@@ -619,7 +620,7 @@ _CAPTION = (
     "Top: command of the joint with the largest motion. ZV (zero vibration), ZVD (zero vibration "
     "and derivative) and EI (extra insensitive) are shapers, which convolve the original command "
     "with impulses. Bottom: simulated distance of the tip in still air from the position in which "
-    "it finally rests, in the same styles. Dots: ends of the commands. Horizontal line: "
+    "it finally rests, in the same line styles. Dots: ends of the commands. Horizontal line: "
     f"{100 * _NEAR:g} % of the travel of the tip."
 )
 _BANDS = " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."

@@ -121,12 +121,16 @@ def argument(metavar: str, text: str) -> Any:
 
 
 _Formats = Annotated[
-    Texts, "FORMAT", "Also write the pictures as svg or pdf, and captions as text.", "--format"
+    Texts,
+    "FORMAT",
+    "Also write the pictures as svg or pdf, and their captions as text.",
+    "--format",
 ]
 _Dpi = Annotated[
     int | None,
     "N",
-    "Resolution of the pictures in pixels per inch (with captions as text). [default: 130]",
+    "Resolution of the pictures in pixels per inch; their captions are also written as text. "
+    "[default: 130]",
     30,
     2400,
 ]
@@ -634,7 +638,7 @@ def _cell(value: Any) -> str:
 
 
 Browser = Annotated[bool, "Open the page in a browser, or only print its address."]
-Digits = Annotated[int, "N", "Number of significant digits in the files.", 3, 17]
+Digits = Annotated[int, "N", "Number of significant digits in the output files.", 3, 17]
 Force = Annotated[bool, "Overwrite existing files."]
 Host = Annotated[str, "ADDRESS", "Address on which the server listens; 0.0.0.0 for all interfaces."]
 Json = Annotated[bool, "--json", "Print JSON instead of tables."]
@@ -642,7 +646,7 @@ Links = Annotated[int | None, "N", "Number of links."]
 OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without the unit."]
 Port = Annotated[int, "N", "Port of the server; 0 for any free port."]
 Quiet = Annotated[bool, "Print errors only."]
-Replayed = Annotated[Path | None, "FILE", "Take commands and wind from this run."]
+Replayed = Annotated[Path | None, "FILE", "Use the commands and the wind of this run."]
 Settings = Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5 or springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the numerical integration."]
@@ -785,8 +789,8 @@ def workers_of_starts(
         return
     if starts < 2:
         raise InputError(
-            "a single start uses only one process: add --starts N, or omit --workers and "
-            "--scheduler"
+            "a fit from a single initial guess uses only one process: add --starts N, or omit "
+            "--workers and --scheduler"
         )
     from ..runtime.execution import open_executor
 

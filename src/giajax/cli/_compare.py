@@ -56,7 +56,7 @@ def compare(
     check_quiet(quiet, written=page, as_json=as_json, by="--page FILE.html or --json")
     if len(results) < 2:
         raise typer.BadParameter(
-            "one result is given, but a comparison needs at least two: give another"
+            "one result is given, but a comparison needs at least two: give another one"
         )
     from ..recordings import check_output_files, stored_result, write_files
 
@@ -112,9 +112,10 @@ Examples:
                             compare only these two models
 
 The models are sorted by their prediction error on the held-out loops. Models
-whose fit did not converge come last. AIC and BIC refer to the fitted part of the
-data and are relative to the smallest value. A small difference in BIC combined
-with a large difference in the error on the held-out loops indicates overfitting.""",
+whose fit did not converge come last. AIC and BIC are computed from the fitted
+part of the data and are shown relative to the smallest AIC and BIC of all models.
+A model with a BIC close to the smallest, but an error on the held-out loops far
+above the smallest, is overfitted.""",
     group="study",
     old={"--held-out": "--validation"},
 )

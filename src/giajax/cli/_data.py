@@ -240,7 +240,7 @@ def import_(
     command: Annotated[
         Path | None,
         "FILE",
-        "A run recorded with the clock of the film, with commands or with points from another "
+        "A run that uses the clock of the film and contains commands or points from another "
         "camera.",
     ] = None,
     force: Force = False,

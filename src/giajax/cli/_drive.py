@@ -234,8 +234,8 @@ class Drives:
         del self._begun[record]
         if record.lost and not self._quiet:
             typer.echo(
-                f"the simulation fell {record.lost:.1f} s behind real time, and this time was "
-                "skipped"
+                f"the simulation fell {record.lost:.1f} s behind real time. This part of the "
+                "motion was skipped"
             )
 
 
@@ -304,16 +304,16 @@ def drive(
         str | None, "I:L", "Intensity and length scale (m) of gusts about the mean wind."
     ] = None,
     compensate: Annotated[
-        Path | None, "RESULT", "Fit of the hysteresis of a joint, used for compensation."
+        Path | None, "RESULT", "Fit of a hysteresis model, used to compensate for joint hysteresis."
     ] = None,
     no_memory: Annotated[bool, "Simulate the joints without hysteresis."] = False,
     latency: Annotated[float, "S", "Delay of the image from the camera at the tip."] = 0.2,
     rate: Annotated[float, "HZ", "Number of poses per second."] = 30.0,
-    steps: Annotated[int, "N", "Number of integration steps between two poses.", 1] = 1,
+    steps: Annotated[int, "N", "Number of integration steps between successive poses.", 1] = 1,
     to: Annotated[
         Path | None,
         "RUN.csv",
-        "Output file for the run. [default: drive-N.csv with the next free N]",
+        "Output file for the run. [default: drive-N.csv with the first unused N]",
     ] = None,
     channels: Annotated[
         Texts, "CHANNEL", "Channel to record, named as in 'giajax simulate'."
@@ -322,7 +322,7 @@ def drive(
         Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
     ] = None,
     every: Annotated[int, "N", "Record every N-th row.", 1] = 3,
-    seed: Annotated[int, "N", "Seed of noise and gusts.", 0] = 0,
+    seed: Annotated[int, "N", "Seed of the random numbers for noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
     port: Port = 0,
     browser: Browser = True,

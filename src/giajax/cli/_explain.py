@@ -44,17 +44,17 @@ Examples:
   giajax explain --resume why
                             continue a stopped explanation
 
-The command fits the model as `giajax fit` does, tests the residuals, fits the
-most likely suspects, keeps the best one, removes effects that are no longer
-needed, and repeats these steps.
-The steps are validated on the last fifth of each run, or on the --validation runs. The final
+The command fits the model as `giajax fit` does and tests the residuals. In each
+step, it then adds each of the most likely suspects to the model, fits these
+models, keeps the best one, and removes effects that are no longer needed.
+Each step is validated on the last fifth of each run, or on the --validation runs. The final
 model is fitted to all runs of --data. All other options are those of `giajax fit`.
 
 DIR contains the final result in the format of `giajax fit`, explain.json with
-the steps, the parameters and the models that fit nearly as well, explain.html,
-and each fit in DIR/fits. After Ctrl-C or at the end of --budget, the same files
-are written for the last step. With --resume DIR, the command continues with the
-same steps. With --force, it starts again.
+the steps, the parameters and the models that fit nearly as well as the final
+model, explain.html, and each fit in DIR/fits. After Ctrl-C or at the end of
+--budget, the same files are written for the last step, and --resume DIR
+continues from this step. --force repeats the whole explanation.
 
 \b
 Exit status: 0 the final fit converged; 1 it did not; 2 bad input or usage;
@@ -69,11 +69,11 @@ def explain(
         Path | None, argument("DEFINITION", "Fit definition; see 'giajax fit'.")
     ] = None,
     data: Annotated[Paths, "RUN.csv", "A run to explain."] = None,
-    validation: Annotated[Paths, "RUN.csv", "A run for validation of the steps."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run on which each step is validated."] = None,
     rename: Renamed = None,
     max_steps: Annotated[int | None, "N", "Maximum number of steps. [default: 10]", 0] = None,
     tries: Annotated[
-        int | None, "N", "Number of suspects fitted at each step. [default: 3]", 1
+        int | None, "N", "Number of suspects fitted in each step. [default: 3]", 1
     ] = None,
     resume: Annotated[Path | None, "DIR", "Continue the explanation in this folder."] = None,
     out: Annotated[Path | None, "DIR", "Output folder. [default: giajax-out/RUN-explained]"] = None,

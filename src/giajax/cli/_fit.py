@@ -109,8 +109,8 @@ class TimeLeft:
             each = (self._start_times[-1] - self._start_times[0]) / (len(self._start_times) - 1)
             whole = each * (self.starts - len(self._start_times) + 1)
             return max(whole - (now - self._start_times[-1]), 0.0), (
-                f"about {{left}} left until all {self.starts} starts are done, estimated from the "
-                "previous starts"
+                f"about {{left}} left until the fits from all {self.starts} initial guesses are "
+                "done, estimated from the previous fits"
             )
         steps = self.most - number + self.most * (self.starts - 1)
         each = statistics.median(self._steps)
@@ -271,7 +271,7 @@ def show_diagnosis(result: "FitResult") -> None:
         print("\neffects that the residuals suggest (run 'giajax suspects' to list all suspects):")
         print_table(SUSPECT_HEADINGS, rows)
     if any(error.stated for error in result.systematic):
-        print("\neffect of the uncertainty of fixed parameters, in units of the standard error:")
+        print("\neffect of uncertain fixed parameters on the estimates, in standard errors:")
         print_table(*systematic_table(result))
 
 
@@ -474,7 +474,7 @@ class Settings(TypedDict):
         "Express a parameter in terms of others: links.mass=links.mass[0].",
     ]
     per_run: Annotated[Texts, "PATH", "Fit a separate value of this parameter for each run."]
-    group: Annotated[Texts, "PATH=RUN,RUN", "Fit one value of a parameter for these runs."]
+    group: Annotated[Texts, "PATH=RUN,RUN", "Fit a common value of a parameter for these runs."]
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."]
     nuisances: Annotated[
         bool | None,
@@ -494,10 +494,15 @@ class Settings(TypedDict):
         "Split the runs into windows of this length with separate initial states.",
     ]
     windows_first: Annotated[
-        float | None, "S", "First fit windows of this length, then whole runs."
+        float | None,
+        "S",
+        "First fit windows of this length, then fit the whole runs from the result.",
     ]
     starts: Annotated[
-        int | None, "N", "Number of initial guesses; the best fit is kept. [default: 1]", 1
+        int | None,
+        "N",
+        "Number of initial guesses to fit from; the best fit is kept. [default: 1]",
+        1,
     ]
     spread: Annotated[
         float | None,
@@ -505,12 +510,16 @@ class Settings(TypedDict):
         "Relative spread of the initial guesses about the first one. [default: 0.3]",
     ]
     seed: Annotated[
-        int | None, "N", "Seed of the initial guesses after the first one. [default: 0]", 0
+        int | None,
+        "N",
+        "Seed of the random numbers for the further initial guesses. [default: 0]",
+        0,
     ]
     loss: Annotated[
         str | None,
         "NAME",
-        "Loss function, such as huber, soft_l1 or student_t for outliers. [default: linear]",
+        "Loss function; huber, soft_l1 and student_t reduce the effect of outliers. "
+        "[default: linear]",
     ]
     noise_model: Annotated[
         str | None, "NAME", "Noise model: correlated or white. [default: correlated]"
@@ -647,7 +656,7 @@ def fit(
     suspects: Annotated[bool, "Test fixed and omitted parameters after the fit."] = True,
     figures: Annotated[bool, "Draw figures of the result."] = True,
     self_test: Annotated[
-        bool, "Check the standard errors by repeated fits with new noise."
+        bool, "Check the standard errors by repeated fits to data with new noise."
     ] = False,
     report: Annotated[bool, "Also write report.html."] = False,
     **settings: Unpack[Settings],

@@ -180,7 +180,8 @@ Examples:
       --to command.csv      use a measured loop instead of a fit
 
 target.csv has a column for the target angle (angle_deg) or output, and optionally a time
-column. If a fit is used, the output file also contains the output that it predicts.""",
+column. If a fit is used, the file of commands also contains the output that the fit
+predicts.""",
     group="plan",
     old={"--model": "RESULT", "--out": "--to"},
 )
@@ -197,7 +198,7 @@ def compensate(
         float | None,
         "TRAVEL",
         "With --loop: travel over which the branch changes, in the unit of the target. [default: a "
-        "third of the range]",
+        "third of the range of the loop]",
     ] = None,
     rename: Renamed = None,
     digits: Digits = 9,

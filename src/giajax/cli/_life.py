@@ -41,7 +41,7 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  life.json, life.csv     time, gas, lift, margin and energy of each phase
+  life.json, life.csv     time, gas, lift, force margin and energy of each phase
   life.png                gas, pressures and work as a figure
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run
@@ -54,7 +54,7 @@ of this file set the properties of the roll and of the gas supply.""",
 def life(
     context: typer.Context,
     file: Annotated[Path, argument("MISSION", "Mission file, as for 'giajax mission'.")],
-    seed: Annotated[int, "N", "Seed of gusts and pixel noise.", 0] = 0,
+    seed: Annotated[int, "N", "Seed of the random numbers for gusts and pixel noise.", 0] = 0,
     pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
     out: Annotated[Path | None, "DIR", "Folder for tables, a figure and a page."] = None,
     no_page: Annotated[bool, "Do not write the page."] = False,

@@ -124,7 +124,7 @@ _RANGE = "0,0.6"  # Default range of speeds with a recording.
     """\b
 Examples:
   giajax mission missions/naraha.toml
-                            fly once in the wind given in the file
+                            fly one mission in the wind given in the file
   giajax mission missions/naraha.toml --speed 0.3 --seed 4 --out flown
                             use another wind, and write files and a run
   giajax mission missions/naraha.toml --controller mpc
@@ -172,10 +172,14 @@ def mission(
     file: Annotated[Path, argument("MISSION", "Mission file; see below.")],
     speed: Annotated[float | None, "M/S", "Wind speed. [default: from the file]"] = None,
     seed: Annotated[
-        int, "N", "Seed of gusts and pixel noise. With --cases, the first seed.", 0
+        int,
+        "N",
+        "Seed of the random numbers for gusts and pixel noise. With --cases, the seed of the "
+        "first mission.",
+        0,
     ] = 0,
     case: Annotated[
-        int | None, "N", "Repeat the mission that --cases flew with this seed.", 0
+        int | None, "N", "Repeat the mission that was flown with this seed by --cases.", 0
     ] = None,
     controller: Annotated[str, "NAME", "Controller: operator or mpc."] = "operator",
     keep_station: Annotated[
@@ -197,7 +201,8 @@ def mission(
     speeds: Annotated[
         str | None,
         "M/S,M/S",
-        f"Wind speeds. [default: {_SPEEDS} for --cases, the range {_RANGE} for --from-recording]",
+        f"Wind speeds of the missions. [default: {_SPEEDS} for --cases, the range {_RANGE} for "
+        "--from-recording]",
     ] = None,
     out: Annotated[Path | None, "DIR", "Folder for tables and figures."] = None,
     as_json: Json = False,
@@ -337,8 +342,8 @@ def tell_certificate(
     if found.unlike and not quiet:
         typer.echo(
             "note: the recording does not resemble any of the simulated arms at rest. Either the "
-            "arm differs from the file, or the wind speed exceeds --speeds: do not rely on the "
-            "probability",
+            "recorded arm differs from the arm in the file, or the wind speed exceeds --speeds: do "
+            "not rely on the probability",
             err=True,
         )
     if as_json:
@@ -350,8 +355,8 @@ def tell_certificate(
     inside = sum(case.reached is not None for case in found.near)
     typer.echo(
         f"{inside} of the {len(found.near)} missions (of {len(found.cases)}) whose motion at rest "
-        f"is most similar are successful. The wind speed in these missions is {least:.2f} to "
-        f"{most:.2f} m/s, with a median of {middle:.2f} m/s.\n\n"
+        f"is most similar to the recording are successful. The wind speed in these missions is "
+        f"{least:.2f} to {most:.2f} m/s, with a median of {middle:.2f} m/s.\n\n"
         f"probability of success within {mission.section.limit_s:g} s: {100 * found.chance:.0f} % "
         f"(95 % interval: {low:.0f} to {high:.0f} %)"
     )

@@ -281,7 +281,9 @@ part of a path.""",
 def predict(
     model: Annotated[Path, argument("MODEL", "Model; see below.")],
     data: Annotated[list[Path], "RUN.csv", "A recorded run."],
-    against: Annotated[Path | None, "MODEL", "Compare the errors with those of this model."] = None,
+    against: Annotated[
+        Path | None, "MODEL", "Compare the prediction errors with those of this model."
+    ] = None,
     config: Annotated[
         Path | None,
         "FILE.toml",

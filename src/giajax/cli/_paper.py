@@ -158,7 +158,7 @@ def hysteresis(
     travel: Annotated[
         float, "TRAVEL", "Travel over which the branch changes in eq. (12) (deg)."
     ] = 40.0,
-    seed: Annotated[int, "N", "Seed of the noise.", 0] = 0,
+    seed: Annotated[int, "N", "Seed of the random numbers for the noise.", 0] = 0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:

@@ -55,7 +55,7 @@ MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
 section. A pose is the equilibrium at the commanded angles. All other joints
 are commanded to 0. The command writes
   command.csv, command.toml   the command for an operator
-  path.csv                    the expected path of the tip, with uncertainty
+  path.csv                    the expected path of the tip, with its uncertainty
   plan.json, plan.png         the result, compared with a direct command
 The air is still, and the arm is initially at rest. The paper does not give
 the maximum joint rate of its arm: the default of 2 deg/s is an assumption.""",
@@ -75,7 +75,7 @@ def plan(
     duration: Annotated[
         float | None,
         "S",
-        "Minimise the swing for this duration of the command. [default: minimise the duration]",
+        "Minimise the swing of a command of this duration. [default: minimise the duration]",
     ] = None,
     max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,

@@ -74,9 +74,9 @@ Examples:
                             analyse a recorded run
 
 By default, the base joint moves to 30 deg within 1 s, and all links are filmed.
-The output files are sensitivity.png, sensitivity.csv (derivatives over time) and
-information.csv (share of each link in the information, and the standard error
-obtained from that link alone).""",
+The output files are sensitivity.png, sensitivity.csv (derivatives of the channels
+with respect to the parameters, over time) and information.csv (share of each link
+in the information, and the standard error obtained from that link alone).""",
     group="plan",
     pictures=True,
     old_words="--data",

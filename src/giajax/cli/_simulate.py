@@ -357,7 +357,7 @@ def simulate(
         Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
     ] = None,
     missing: Annotated[float, "PERCENT", "Percentage of missing samples in each channel."] = 0.0,
-    seed: Annotated[int, "N", "Seed of noise, gaps and gusts.", 0] = 0,
+    seed: Annotated[int, "N", "Seed of the random numbers for noise, gaps and gusts.", 0] = 0,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
     digits: Digits = 9,
@@ -500,7 +500,7 @@ def synth(
     burst_duration: Annotated[float, "S", "Duration of a burst."] = 1.0,
     outliers: Annotated[float, "PERCENT", "Percentage of cells that are outliers."] = 0.0,
     outlier_size: Annotated[Texts, "KEY=VALUE", "Size of the outliers."] = None,
-    seed: Annotated[int, "N", "Seed of all random errors.", 0] = 0,
+    seed: Annotated[int, "N", "Seed of the random numbers for all errors.", 0] = 0,
     digits: Digits = 9,
     force: Force = False,
     quiet: Quiet = False,

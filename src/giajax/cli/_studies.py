@@ -296,7 +296,7 @@ the result, where `giajax report` finds them.""",
 def influence(
     given: OnResult,
     exact: Annotated[
-        bool, "Repeat the fit also without each marker, channel and time span."
+        bool, "Also repeat the fit without each marker, channel and time span."
     ] = False,
     spans: Annotated[
         int, "N", "Number of time spans of each run. Use 1 to omit the time spans.", 1
@@ -331,9 +331,9 @@ RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The suspect with the largest decrease in chi-square comes first.
 --ladder fits the first few suspects, keeps the one with the lowest BIC, and
 repeats this as long as BIC decreases. For a long arm, a ladder step can take several
-minutes, but less with --tries 1, which fits only the first suspect.""",
+minutes. It takes less time with --tries 1, which fits only the first suspect.""",
     group="trust",
-    out="Output folder for suspects.json, the result with its suspects.",
+    out="Output folder for suspects.json, which contains the result and its suspects.",
     as_json=True,
     old={
         "--held-out": "--validation",
@@ -344,14 +344,16 @@ minutes, but less with --tries 1, which fits only the first suspect.""",
 def suspects(
     given: OnResult,
     each: Annotated[Texts, "PATH", "Also test each element of this array separately."] = None,
-    systematic: Annotated[bool, "Show the effect of the uncertainty of fixed parameters."] = False,
+    systematic: Annotated[
+        bool, "Show the effect of uncertain fixed parameters on the estimates."
+    ] = False,
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
-    validation: Annotated[Paths, "RUN.csv", "A run for validation of the ladder."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run on which each ladder step is validated."] = None,
     rows: Annotated[int, "N", "Number of table rows.", 1] = 8,
     max_steps: Annotated[int, "N", "Maximum number of ladder steps.", 1] = 8,
     tries: Annotated[
-        int | None, "N", "Number of suspects fitted at each ladder step. [default: 3]", 1
+        int | None, "N", "Number of suspects fitted in each ladder step. [default: 3]", 1
     ] = None,
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.
@@ -391,9 +393,7 @@ def suspects(
             print()
         print("\n".join(suspect_summary(found)))
         if systematic or deviations:
-            print(
-                "\neffect of the uncertainty of fixed parameters, in units of the standard error:"
-            )
+            print("\neffect of uncertain fixed parameters on the estimates, in standard errors:")
             print_table(*systematic_table(fitted))
     steps = None
     if ladder:

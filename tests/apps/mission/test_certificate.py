@@ -207,7 +207,7 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     given = [*words, "--speeds", "0.1,0.9", "--controller", "mpc", "--seed", "3"]
     assert main([*given, "--out", "chance"]) == 0
     said = capsys.readouterr().out
-    assert "of the 2 missions (of 24) whose motion at rest is most similar are successful" in said
+    assert "of the 2 missions (of 24) whose motion at rest is most similar to the recording" in said
     assert "probability of success within 40 s: " in said
     facts = json.loads(Path("chance/certificate.json").read_text())
     assert facts["interval"][0] < facts["chance"] < facts["interval"][1]

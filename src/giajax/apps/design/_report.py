@@ -83,10 +83,11 @@ def _expected_json(expected: Expected) -> dict[str, Any]:
 
 _CAPTION = (
     "The designed experiment (blue) and the base step (orange-red, dashed), in which one joint "
-    "moves to the largest angle at the largest rate. Top left: commands; later joints are paler. "
-    "Bottom left: predicted motion of the outermost body, for the component that moves most. "
-    "Right: expected standard errors of the estimates divided by the values of the parameters, for "
-    "the design (circles) and the base step (squares), each with the markers selected for it."
+    "moves to the largest angle at the largest rate. Top left: commands, paler for joints farther "
+    "from the base. Bottom left: predicted motion of the outermost body, for the component that "
+    "moves most. Right: expected standard errors of the estimates divided by the values of the "
+    "parameters, for the design (circles) and the base step (squares), each with the markers "
+    "selected for it."
 )
 
 

@@ -335,7 +335,8 @@ class Session:
             )
         if gusts is not None and set(gusts.values) != set(_WIND):
             raise InputError(
-                "the gusts of a drive are the same for the whole arm: give only x, y and z"
+                "the gusts of a drive are the same for the whole arm: give only the components x, "
+                "y and z of one wind"
             )
         arm = model.arm
         if not memory:

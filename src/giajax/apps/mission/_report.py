@@ -82,7 +82,7 @@ _MISSION_CAPTION = (
     "distance of the tip from the outer plane of the opening (blue circles) and from its axis "
     "(orange-red squares). Dotted lines are estimates of the controller. The dashed line is the "
     "depth from which the tip counts as inside. In grey intervals the camera sees at least two "
-    "corners of the opening. Lower right: commanded joint angles. The four "
+    "corners of the opening. Lower right: commanded joint angles. The four angles "
     "with the largest ranges are labelled, and the others are thin and grey."
 )
 

@@ -94,8 +94,8 @@ class TrackVerdict:
             return f"not adequate: {best.name} (log-likelihood +{best.gain:.3g}); {best.advice}"
         size = f"the innovations are {np.sqrt(self.nis):.2g} times as large as expected"
         return (
-            f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and no tested "
-            "explanation is better: fit the model to the run"
+            f"not adequate: {size}, with a correlation of {self.correlation:.2f}, and none of "
+            "the tested explanations fits better: fit the model to the run"
         )
 
 

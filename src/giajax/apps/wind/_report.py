@@ -18,8 +18,8 @@ _ACROSS = 3
 _CAPTION = (
     "One-sided power spectral densities of the recorded channels of the arm. Grey dots: measured "
     "spectra, averaged over five sine tapers in frequency bands that do not overlap. Blue lines: "
-    "spectra of the fitted model, averaged in the same way: the response of the linearised arm to "
-    "the gusts, plus the noise."
+    "spectra of the fitted model, averaged in the same way. The spectra of the model are those of "
+    "the response of the linearised arm to the gusts, plus those of the noise."
 )
 
 
