@@ -623,7 +623,7 @@ _CAPTION = (
     "it finally rests, in the same line styles. Dots: ends of the commands. Horizontal line: "
     f"{100 * _NEAR:g} % of the travel of the tip."
 )
-_BANDS = " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."
+_BANDS = " Bands: central 95 % of distances for parameters drawn from the uncertainty of the fit."
 
 
 def shaping_figure(found: Shaping, title: str = "") -> Figure:

@@ -113,9 +113,9 @@ Examples:
 
 The models are sorted by their prediction error on the held-out loops. Models
 whose fit did not converge come last. AIC and BIC are computed from the fitted
-part of the data and are shown relative to the smallest AIC and BIC of all models.
-A model with a BIC close to the smallest, but an error on the held-out loops far
-above the smallest, is overfitted.""",
+part of the data and are shown relative to the smallest AIC and BIC of the models
+whose fit converged. A BIC close to the smallest, combined with an error on the
+held-out loops far above the smallest, indicates overfitting.""",
     group="study",
     old={"--held-out": "--validation"},
 )

@@ -234,8 +234,7 @@ class Drives:
         del self._begun[record]
         if record.lost and not self._quiet:
             typer.echo(
-                f"the simulation fell {record.lost:.1f} s behind real time. This part of the "
-                "motion was skipped"
+                f"the simulation fell {record.lost:.1f} s behind real time, and did not catch up"
             )
 
 

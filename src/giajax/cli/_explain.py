@@ -34,7 +34,7 @@ PAGE = "explain.html"
     """\b
 Examples:
   giajax explain --data run.csv --out why
-                            find the effects in the run
+                            find the effects that the model omits
   giajax explain --data run.csv --out why --budget 15m --tries 1
                             find the best model within 15 minutes
   giajax explain --data a.csv --data b.csv --validation c.csv

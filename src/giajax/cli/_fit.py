@@ -496,12 +496,12 @@ class Settings(TypedDict):
     windows_first: Annotated[
         float | None,
         "S",
-        "First fit windows of this length, then fit the whole runs from the result.",
+        "First fit windows of this length, then fit the whole runs starting from that result.",
     ]
     starts: Annotated[
         int | None,
         "N",
-        "Number of initial guesses to fit from; the best fit is kept. [default: 1]",
+        "Number of fits with different initial guesses; the best fit is kept. [default: 1]",
         1,
     ]
     spread: Annotated[
@@ -512,7 +512,7 @@ class Settings(TypedDict):
     seed: Annotated[
         int | None,
         "N",
-        "Seed of the random numbers for the further initial guesses. [default: 0]",
+        "Seed of the random numbers for all initial guesses except the first. [default: 0]",
         0,
     ]
     loss: Annotated[

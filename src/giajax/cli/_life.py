@@ -41,7 +41,7 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  life.json, life.csv     time, gas, lift, force margin and energy of each phase
+  life.json, life.csv     time, gas, lift, force margin, energy of each phase
   life.png                gas, pressures and work as a figure
   life.html               a page that plays all phases
   run.csv, run.toml       the mission as a run

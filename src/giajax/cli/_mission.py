@@ -179,7 +179,7 @@ def mission(
         0,
     ] = 0,
     case: Annotated[
-        int | None, "N", "Repeat the mission that was flown with this seed by --cases.", 0
+        int | None, "N", "Repeat the mission with this seed, one of those flown with --cases.", 0
     ] = None,
     controller: Annotated[str, "NAME", "Controller: operator or mpc."] = "operator",
     keep_station: Annotated[

@@ -156,7 +156,7 @@ compensations are based, and the fit for the inverse compensation.""",
 def hysteresis(
     out: Annotated[Path, "DIR", "Folder for the files."],
     travel: Annotated[
-        float, "TRAVEL", "Travel over which the branch changes in eq. (12) (deg)."
+        float, "TRAVEL", "Travel (deg) over which the branch changes in eq. (12)."
     ] = 40.0,
     seed: Annotated[int, "N", "Seed of the random numbers for the noise.", 0] = 0,
     force: Force = False,

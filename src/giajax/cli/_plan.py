@@ -55,7 +55,7 @@ MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
 section. A pose is the equilibrium at the commanded angles. All other joints
 are commanded to 0. The command writes
   command.csv, command.toml   the command for an operator
-  path.csv                    the expected path of the tip, with its uncertainty
+  path.csv                    expected path of the tip, with its uncertainty
   plan.json, plan.png         the result, compared with a direct command
 The air is still, and the arm is initially at rest. The paper does not give
 the maximum joint rate of its arm: the default of 2 deg/s is an assumption.""",

@@ -323,7 +323,7 @@ def design(
     links: Links = None,
     pairs: Settings = None,
     free: Annotated[
-        Texts, "PATH", "Further free parameters of the fit. [default: as in the source]"
+        Texts, "PATH", "Further free parameters of the future fit. [default: as in the source]"
     ] = None,
     criterion: Annotated[
         str | None,
@@ -355,7 +355,7 @@ def design(
     ] = None,
     draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 1] = 4,
     worst: Annotated[
-        bool, "Minimise the error of the worst draw instead of the mean error."
+        bool, "Minimise the largest error of all draws instead of their mean error."
     ] = False,
     knots: Annotated[
         int | None,
@@ -363,7 +363,7 @@ def design(
         "Number of turning points of each joint command. [default: 15, or 30 for all joints]",
     ] = None,
     starts: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
-    follow: Annotated[int, "N", "Number of these commands that are optimised.", 1] = 2,
+    follow: Annotated[int, "N", "Number of compared commands that are then optimised.", 1] = 2,
     max_iterations: Annotated[
         int, "N", "Maximum number of optimiser steps for each command.", 1
     ] = 25,

@@ -134,8 +134,8 @@ Examples:
 
 RESULT is the folder of a fit, or its result.json. The output files are
 posterior.json, the draws for ArviZ (posterior.nc), figures, and uncertainty bands
-of every channel as CSV. Each chain is stored in posterior_chains. The same command
-continues after Ctrl-C. If --chains is increased, the existing chains are kept.
+of every channel as CSV. Each chain is stored in posterior_chains. After Ctrl-C, repeat
+the command to continue. If --chains is increased, the existing chains are kept.
 This command needs the extra 'posterior': pip install 'giajax[posterior]', or in a
 checkout pip install '.[posterior]'.""",
     group="trust",
@@ -220,8 +220,8 @@ Examples:
 RESULT is the folder of a fit, or its result.json. The runs are read again from
 their original paths. The command writes bootstrap.json and bootstrap.png beside
 the result, where `giajax report` finds them. After Ctrl-C, a result is written from
-the finished repetitions. With --folder DIR, the same command with --force
-then computes the remaining repetitions.""",
+the finished repetitions. With --folder DIR, repeat the command with
+--force to compute the remaining repetitions.""",
     group="trust",
     workers=True,
     folder=_KEPT,

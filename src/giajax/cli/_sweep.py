@@ -37,7 +37,7 @@ Examples:
                             use a cluster, and write to the folder masses
 
 \b
-A plan names a fit definition and the values that differ between fits:
+A plan gives a fit definition and the values that differ between fits:
   fit = "base_step.toml"
   [grid]
   loss = ["linear", "huber"]

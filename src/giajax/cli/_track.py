@@ -102,7 +102,8 @@ def track(
     bias: Annotated[
         Texts,
         "KEY=SD",
-        "Estimate a constant bias with this prior standard deviation, such as tip_x_m=0.05.",
+        "Estimate a constant bias of a channel, with this prior standard deviation, such as "
+        "tip_x_m=0.05.",
     ] = None,
     uncertain: Annotated[
         Texts,

@@ -37,7 +37,7 @@ Examples:
 
 \b
 With --out DIR, the command writes
-  unrolling.json          times at which the arm is unrolled, is full and lifts off
+  unrolling.json          times when the arm is unrolled, full and lifted off
   unrolling.csv           length, speed, forces and energies over time
   unrolling.png           the same data as a figure
   filling.*, inflation.toml

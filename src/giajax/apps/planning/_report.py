@@ -112,7 +112,7 @@ _SHAPES = 6  # Number of drawn shapes of the arm.
 def _caption(found: Plan) -> str:
     blocks = "" if found.planned.clearance is None else " Light grey: obstacles."
     bands = (
-        " Bands: 95 % of arms whose parameters are drawn from the uncertainty of the fit."
+        " Bands: central 95 % of distances for parameters drawn from the uncertainty of the fit."
         if _banded(found.direct) or _banded(found.planned)
         else ""
     )
