@@ -77,7 +77,7 @@ COMMANDS = {
     "predict": Command(f"predict {{fit}} --data {RUN} --to {{out}}/table.csv --force"),
     "report": Command("report {fit} --page {out}/report.html --force"),
     "track": Command(f"track {RUN} --model {{fit}} --wind 0,0.2,0 --out {{out}} --force"),
-    "plan": Command("plan --model {fit} --pose 1=20 --out {out} --force"),
+    "plan": Command("plan {fit} --pose 1=20 --out {out} --force"),
     "shape": Command(f"shape {RUN} --model {{fit}} --out {{out}} --force"),
     "joint": Command("joint --out {out} --force"),
     "fill": Command("fill --out {out} --force"),

@@ -76,8 +76,8 @@ FAST = "--no-figures --force --quiet --max-iterations 1 --no-suspects"
 # Tables of other programs, and the options of their import.
 FOREIGN = {
     "tracker.txt": "--unit cm --point elbow=link01",
-    "sleap.csv": "--rate 50 --point tip=tip",
-    "anipose.csv": "--rate 10 --unit mm --point tip-end=tip",
+    "sleap.csv": "--frame-rate 50 --point tip=tip",
+    "anipose.csv": "--frame-rate 10 --unit mm --point tip-end=tip",
     "motive.csv": "--point Arm:Tip=tip --from-time 0 --until 9",
     "phyphox.csv": "--point Gyroscope=imu02",
     "kinovea.txt": "--time-unit ms --origin 0,9 --point elbow=link01",
@@ -125,7 +125,7 @@ COMMANDS = {
     "influence fit --force": ["fit/result.json"],
     "profile fit --quiet": ["fit/result.json", "fit/profiles.json"],
     "bootstrap fit --size 2 --folder tasks --force --quiet": ["fit/result.json"],
-    "choose --data loops.csv --only play": ["loops.csv", "loops.toml"],
+    "choose --data loops.csv --operator play": ["loops.csv", "loops.toml"],
     "compensate loops --target target.csv --to c.csv --force": [
         "loops/result.json",
         "target.csv",

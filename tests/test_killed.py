@@ -36,7 +36,7 @@ STUDIES = {
     "posterior": ("posterior fit --chains 3 --draws 8 --warmup 4 --out out --force", "out"),
     "design": (
         "design arm.toml --parameter air.drag_coefficient --out out --force --duration 0.5 --rate 8"
-        " --channels tip --knots 3 --starts 2 --follow 1 --max-iterations 2 --draws 1",
+        " --channels tip --knots 3 --candidates 2 --follow 1 --max-iterations 2 --scenarios 1",
         "nothing",
     ),
     "drive": ("drive arm.toml --replay pad.csv --to run-2.csv --force", "run-2-unfinished.csv"),

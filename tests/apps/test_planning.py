@@ -312,7 +312,7 @@ links = 3
 def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "arm.toml").write_text(FILE)
-    words = ["--model", "arm.toml", "--pose", "1=20", "--pose", "2=10", "--begin", "1=5"]
+    words = ["arm.toml", "--pose", "1=20", "--pose", "2=10", "--begin", "1=5"]
     limits = ["--max-angle-rate", "8", "--max-angle", "40"]
     assert main(["plan", *words, *limits, "--out", "planned"]) == 0
     said = capsys.readouterr().out
@@ -350,7 +350,7 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     quick = ["--no-suspects", "--no-figures", "--quiet"]
     assert main(["fit", "--data", "run.csv", *free, *quick, "--out", "fit"]) == 0
     capsys.readouterr()
-    words = ["--model", "fit", "--tip", "2.6,0.5,0.7", "--max-angle-rate", "8", "--draws", "8"]
+    words = ["fit", "--tip", "2.6,0.5,0.7", "--max-angle-rate", "8", "--scenarios", "8"]
     assert main(["plan", *words, "--out", "planned", "--json", "--quiet"]) == 0
     facts = json.loads(capsys.readouterr().out)
     np.testing.assert_allclose(facts["goal_m"], [2.6, 0.5, 0.7], atol=1e-4)
@@ -373,7 +373,7 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
     stored["verdict"]["status"] = "inadequate"
     (tmp_path / "fit" / "result.json").write_text(json.dumps(stored))
     capsys.readouterr()
-    assert main(["plan", "--model", "fit", "--pose", "9=20", "--out", "other"]) == 2
+    assert main(["plan", "fit", "--pose", "9=20", "--out", "other"]) == 2
     said = capsys.readouterr().err
     assert "note: according to its verdict, the fit fit is inadequate" in said
 
@@ -394,7 +394,7 @@ def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, 
 )
 def test_targets_that_are_none(words, sentence, tmp_path, capsys):
     (tmp_path / "arm.toml").write_text(FILE)
-    given = ["--model", str(tmp_path / "arm.toml"), "--out", str(tmp_path / "planned")]
+    given = [str(tmp_path / "arm.toml"), "--out", str(tmp_path / "planned")]
     assert main(["plan", *words, *given]) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "planned").exists()

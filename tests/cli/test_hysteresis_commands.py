@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,7 +147,7 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     short = tmp_path / "short.csv"
     short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
     refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")
-    refused(capsys, ["choose", "--data", str(short)], "too few to hold out")
+    refused(capsys, ["choose", "--data", str(short)], "too few to fit or to validate on")
     rising = tmp_path / "rising.csv"
     rows = [f"{k},{k},{k}" for k in range(40)]
     rising.write_text("\n".join(["time_s,command_deg,angle_deg", *rows]) + "\n")
@@ -157,7 +158,15 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
 
 
 def test_the_choice_is_a_table(loops, capsys):
-    arguments = ["choose", "--data", loops, "--only", "play", "--only", "prandtl_ishlinskii"]
+    arguments = [
+        "choose",
+        "--data",
+        loops,
+        "--operator",
+        "play",
+        "--operator",
+        "prandtl_ishlinskii",
+    ]
     assert main(arguments) == 0
     lines = capsys.readouterr().out.splitlines()
     headings = "model parameters RMSE held out deg RMSE fitted deg delta AIC delta BIC status"
@@ -171,6 +180,27 @@ def test_the_choice_is_a_table(loops, capsys):
     assert first["delta_aic"] == first["delta_bic"] == 0
     # The residual is as small as the noise of 0.3 deg; that of a single play is larger.
     assert first["held_out_rmse"] < 0.4 < second["held_out_rmse"]
+
+
+def test_the_choice_holds_out_what_a_fit_would(loops, tmp_path, capsys):
+    other = tmp_path / "other.csv"
+    other.write_bytes(Path(loops).read_bytes())
+    other.with_suffix(".toml").write_bytes(Path(loops).with_suffix(".toml").read_bytes())
+
+    def chosen(*words):
+        assert main(["choose", "--data", loops, "--operator", "play", *words]) == 0
+        return capsys.readouterr()
+
+    usual, half = chosen(), chosen("--hold-out", "last:0.5")
+    assert chosen("--hold-out", "last:0.3").out == usual.out != half.out
+    earlier = chosen("--fraction", "0.5")
+    assert earlier.out == half.out
+    assert "--fraction F is now giajax choose --hold-out last:F;" in earlier.err
+    judged = chosen("--validation", str(other))
+    assert chosen("--data", str(other), "--hold-out", "other").out == judged.out
+    words = ["choose", "--data", loops, "--hold-out"]
+    refused(capsys, [*words, "last:1"], "with a number between 0 and 1")
+    refused(capsys, [*words, "nothing"], "is neither a run nor a channel")
 
 
 @pytest.mark.slow

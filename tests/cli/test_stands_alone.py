@@ -87,8 +87,8 @@ ON_A_RESULT = (
     ["compare", FIT, FIT],
     ["predict", FIT, "--data", "the run.csv", "--to", "a prediction.csv"],
     ["design", FIT, "--parameter", "air.drag_coefficient", "--out", "a design", "--duration", "2",
-     "--rate", "5", "--knots", "3", "--starts", "1", "--follow", "1", "--max-iterations", "1",
-     "--draws", "1"],
+     "--rate", "5", "--knots", "3", "--candidates", "1", "--follow", "1", "--max-iterations",
+     "1", "--scenarios", "1"],
     ["sweep", "a plan.toml"],
 )  # fmt: skip
 # Commands that generate a run from existing files, and suggest the next command.

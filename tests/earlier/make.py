@@ -352,7 +352,7 @@ def design() -> None:
     """The next experiment."""
     Path("arm.toml").write_text("[arm]\nlinks = 2\n")
     giajax(
-        "design", "arm.toml", "--for", "air.drag_coefficient", "--out", "design",
+        "design", "arm.toml", "--parameter", "air.drag_coefficient", "--out", "design",
         "--duration", 3, "--rate", 5, "--markers", 1,
     )  # fmt: skip
     Path("design/design.png").unlink()

@@ -67,7 +67,7 @@ Examples:
                             design the command and markers of an experiment
   giajax shape command.csv --model giajax-out/run --out shaped
                             shape a command to reduce the residual swing
-  giajax plan --model giajax-out/run --pose 1=20 --out planned
+  giajax plan giajax-out/run --pose 1=20 --out planned
                             plan the fastest command to a pose within limits
   giajax track run.csv --model giajax-out/run --wind 0,0.2,0 --out tracked
                             estimate the arm's motion from noisy measurements

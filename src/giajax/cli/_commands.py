@@ -96,7 +96,8 @@ def command(
     draws `pictures` has `--format` and `--dpi`.
 
     The help lists the command in the group `group`, a key of `GROUPS`. `old` maps former options to
-    their current forms: an option (or several), or an argument given by its metavar. The key
+    their current forms: an option (or several), or an argument given by its metavar. The form
+    "--hold-out last:F" means that the value is now written behind "last:". The key
     "--out FILE.json" means that values of the option with this ending are old. Excess words after
     the arguments were formerly arguments, and are now values of the option `old_words`.
     """
@@ -286,8 +287,12 @@ def old_forms(command: Any, registered: Registered) -> dict[str, tuple[str, str]
         places = [each.metavar for each in _arguments(command)]
         pairs[""] = [*places, options[words].metavar], [*places, _shown(words, options)]
     for form, news in registered.old.items():
-        # An option that has become an argument is shown with the metavar of the argument.
-        metavars = [options[new].metavar if new in options else new for new in news[:1]]
+        # An option that has become an argument is shown with the metavar of the argument, and one
+        # whose value has a new beginning with the rest of the value.
+        metavars = [
+            options[new].metavar if new in options else re.split("[ :]", new)[-1]
+            for new in news[:1]
+        ]
         was = [form] if " " in form else [form, *filter(None, metavars)]
         pairs[form] = was, [_shown(new, options) for new in news]
     return {
@@ -335,7 +340,7 @@ class Translation:
         self.words += ["--", *self._behind] if self._behind else []
         forms = old_forms(command, registered)
         for form, news in self._found.items():
-            for new in self._given.intersection(news):
+            for new in self._given.intersection(new.partition(" ")[0] for new in news):
                 old, now = forms[form]
                 many = "" if form else f"{shown(self._word)} is an unexpected argument; "
                 raise InputError(
@@ -370,8 +375,10 @@ class Translation:
         values = [value[1:]] if value else left[:1]
         del left[: 0 if value else 1]
         for new in news if values else news[:1]:
-            if new in self._options:
-                self.words += [new, *values]
+            option, _, form = new.partition(" ")
+            if option in self._options:
+                beginning = form[: form.rfind(":") + 1]
+                self.words += [option, *(beginning + each for each in values)]
             elif values:  # The last one is used, as for any repeated option.
                 self._places -= new not in self._moved
                 self._moved[new] = values[0]
@@ -639,20 +646,42 @@ def _cell(value: Any) -> str:
 
 Browser = Annotated[bool, "Open the page in a browser, or only print its address."]
 Digits = Annotated[int, "N", "Number of significant digits in the output files.", 3, 17]
+Figures = Annotated[bool, "Draw figures of the result."]
+Folder = Annotated[Path | None, "DIR", "Folder in which each finished task is stored."]
 Force = Annotated[bool, "Overwrite existing files."]
+HoldOut = Annotated[
+    Texts,
+    "NAME",
+    "Hold out a run, a channel, or the last part of each run (last for a fifth, last:0.3 for "
+    "30 %).",
+]
 Host = Annotated[str, "ADDRESS", "Address on which the server listens; 0.0.0.0 for all interfaces."]
 Json = Annotated[bool, "--json", "Print JSON instead of tables."]
 Links = Annotated[int | None, "N", "Number of links."]
+Missing = Annotated[float, "PERCENT", "Percentage of missing samples in each channel."]
+Noise = Annotated[
+    Texts, "KEY=VALUE", "Standard deviation of the white noise for KEY, a key of [noise]."
+]
 OnlyChannels = Annotated[Texts, "CHANNEL", "Use only this channel, named without the unit."]
 Port = Annotated[int, "N", "Port of the server; 0 for any free port."]
 Quiet = Annotated[bool, "Print errors only."]
 Replayed = Annotated[Path | None, "FILE", "Use the commands and the wind of this run."]
-Settings = Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"]
+RunModel = Annotated[Path | None, "MODEL", "Model; see below. [default: the model of the run]"]
+Scenarios = Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0]
+Settings = Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"]
 Solver = Annotated[str, "NAME", "Integration method, such as tsit5 or springs5."]
 Tolerance = Annotated[float, "TOL", "Tolerance of the numerical integration."]
 ToRun = Annotated[Path, "RUN.csv", "Output file for the run."]
-Wind = Annotated[str | None, "X,Y,Z", "Constant wind velocity (m/s)."]
+Wind = Annotated[str | None, "X,Y,Z", "Mean wind velocity (m/s)."]
 
+Step = Annotated[
+    Texts, "JOINT=DEG[@T]", "Step change of the commanded angle of a joint. [default: @0.5]"
+]
+Ramp = Annotated[
+    Texts,
+    "JOINT=DEG[@START:DURATION]",
+    "Linear change of the commanded angle of a joint. [default: @0.5:1]",
+]
 Renamed = Annotated[Texts, "OLD=NEW", "Read column OLD of the files as column NEW."]
 
 Cores = Annotated[

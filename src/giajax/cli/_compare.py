@@ -10,6 +10,7 @@ import typer
 from ..runtime.process import configure
 from ._commands import (
     Force,
+    HoldOut,
     Json,
     Paths,
     Quiet,
@@ -108,43 +109,53 @@ Examples:
                             validate on the last part of the loops
   giajax choose --data loops.csv --validation other.csv
                             validate on another recording
-  giajax choose --data loops.csv --only preisach --only bouc_wen
+  giajax choose --data loops.csv --operator preisach --operator bouc_wen
                             compare only these two models
+  giajax choose --data loops.csv --hold-out last:0.5
+                            validate on the last half of the loops
 
 The models are sorted by their prediction error on the held-out loops. Models
-whose fit did not converge come last. AIC and BIC are computed from the fitted
+whose fit did not converge come last. By default, the last 30 % of each run are held
+out, unless a run for validation is given. AIC and BIC are computed from the fitted
 part of the data and are shown relative to the smallest AIC and BIC of the models
 whose fit converged. A BIC close to the smallest, combined with an error on the
 held-out loops far above the smallest, indicates overfitting.""",
     group="study",
-    old={"--held-out": "--validation"},
+    old={
+        "--held-out": "--validation",
+        "--fraction": "--hold-out last:F",
+        "--only": "--operator",
+        "--quiet": "--no-progress",
+    },
 )
 def choose(
     data: Annotated[list[Path], "RUN.csv", "A run to fit the models to."],
     validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
-    fraction: Annotated[
-        float, "F", "Fraction held out at the end of each run if --validation is not given."
-    ] = 0.3,
-    only: Annotated[Texts, "NAME", "Include only this model."] = None,
+    hold_out: HoldOut = None,
+    operator: Annotated[Texts, "NAME", "Include only the model with this operator."] = None,
     rename: Renamed = None,
     as_json: Json = False,
-    quiet: Annotated[bool, "Do not print the progress."] = False,
+    no_progress: Annotated[bool, "Do not print the progress."] = False,
 ) -> None:
     """Compare hysteresis models on held-out loops.
 
     Each model is first fitted to the remaining loops.
     """
-    from ..recordings import parse_rename, read_run
+    from ..recordings import hold_out as split, parse_rename, read_run
 
     renamed = parse_rename(rename or [])
     runs = [read_run(path, rename=renamed) for path in data]
     others = [read_run(path, rename=renamed) for path in validation or []]
+    if hold_out:
+        parts = split(runs, hold_out)
+        runs = [part.fitted for part in parts if part.fitted is not None]
+        others += [part.held for part in parts if part.held is not None]
     configure()
     from ..studies import choose_hysteresis
 
-    watched = sys.stderr.isatty() and not quiet
+    watched = sys.stderr.isatty() and not no_progress
     say = (lambda name: typer.echo(f"fitting {name} ...", err=True)) if watched else None
-    choice = choose_hysteresis(runs, others, fraction=fraction, candidates=only, progress=say)
+    choice = choose_hysteresis(runs, others, candidates=operator, progress=say)
     ended = [one for one in choice.candidates if one.converged] or choice.candidates
     least_aic, least_bic = min(one.aic for one in ended), min(one.bic for one in ended)
     keys = ("model", "parameters", "held_out_rmse", "rmse", "delta_aic", "delta_bic", "status")

@@ -240,8 +240,8 @@ def import_(
     command: Annotated[
         Path | None,
         "FILE",
-        "A run that uses the clock of the film and contains commands or points from another "
-        "camera.",
+        "Take commands, or points from another camera, from this run, recorded with the clock of "
+        "the film.",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,

@@ -19,11 +19,14 @@ from ._commands import (
     Force,
     Host,
     Links,
+    Noise,
     Paths,
     Port,
     Quiet,
     Renamed,
+    Settings,
     Texts,
+    Wind,
     argument,
     command,
     origin,
@@ -285,7 +288,7 @@ A table of pad inputs has the column time_s, one column for each axis (axis0,
 axis1 and so on) and one for each button (button0, button1 and so on).
 Each row applies until the time of the next row.""",
     group="plan",
-    old={"--out": "--to"},
+    old={"--out": "--to", "--latency": "--image-delay", "--rate": "--pose-rate"},
 )
 def drive(
     context: typer.Context,
@@ -297,17 +300,15 @@ def drive(
         Path | None, "PAD.csv", "Replay a table of pad inputs without opening a page."
     ] = None,
     links: Links = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter.", "--set"] = None,
-    wind: Annotated[str | None, "X,Y,Z", "Mean wind velocity (m/s)."] = None,
-    gusts: Annotated[
-        str | None, "I:L", "Intensity and length scale (m) of gusts about the mean wind."
-    ] = None,
+    pairs: Settings = None,
+    wind: Wind = None,
+    gusts: Annotated[str | None, "I:L", "Intensity and length scale (m) of the gusts."] = None,
     compensate: Annotated[
         Path | None, "RESULT", "Fit of a hysteresis model, used to compensate for joint hysteresis."
     ] = None,
     no_memory: Annotated[bool, "Simulate the joints without hysteresis."] = False,
-    latency: Annotated[float, "S", "Delay of the image from the camera at the tip."] = 0.2,
-    rate: Annotated[float, "HZ", "Number of poses per second."] = 30.0,
+    image_delay: Annotated[float, "S", "Delay of the image from the camera at the tip."] = 0.2,
+    pose_rate: Annotated[float, "HZ", "Number of poses per second."] = 30.0,
     steps: Annotated[int, "N", "Number of integration steps between successive poses.", 1] = 1,
     to: Annotated[
         Path | None,
@@ -317,9 +318,7 @@ def drive(
     channels: Annotated[
         Texts, "CHANNEL", "Channel to record, named as in 'giajax simulate'."
     ] = None,
-    noise: Annotated[
-        Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
-    ] = None,
+    noise: Noise = None,
     every: Annotated[int, "N", "Record every N-th row.", 1] = 3,
     seed: Annotated[int, "N", "Seed of the random numbers for noise and gusts.", 0] = 0,
     host: Host = "127.0.0.1",
@@ -372,7 +371,7 @@ def drive(
     session = Session(
         model,
         PadMapping.usual(count) if pad is None else PadMapping.load(pad, count),
-        rate=rate,
+        rate=pose_rate,
         steps=steps,
         gusts=wind_of(gusts, definition, model, seed, quiet=quiet),
         compensation=compensation,
@@ -389,7 +388,7 @@ def drive(
         if table is not None:
             replay_table(session, table, drives, quiet=quiet)
         else:
-            camera = TipCamera(model, latency)
+            camera = TipCamera(model, image_delay)
             where: dict[str, Any] = {"host": host, "port": port, "browser": browser}
             serve(session, camera, drives, **where, quiet=quiet)
     finally:

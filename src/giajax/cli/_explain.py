@@ -9,6 +9,7 @@ import typer
 from ..runtime.process import configure, is_stopped, stop_if_asked, stopped_status
 from ..runtime.text import InputError
 from ._commands import (
+    Figures,
     Force,
     Json,
     Paths,
@@ -69,7 +70,7 @@ def explain(
         Path | None, argument("DEFINITION", "Fit definition; see 'giajax fit'.")
     ] = None,
     data: Annotated[Paths, "RUN.csv", "A run to explain."] = None,
-    validation: Annotated[Paths, "RUN.csv", "A run on which each step is validated."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     rename: Renamed = None,
     max_steps: Annotated[int | None, "N", "Maximum number of steps. [default: 10]", 0] = None,
     tries: Annotated[
@@ -79,7 +80,7 @@ def explain(
     out: Annotated[Path | None, "DIR", "Output folder. [default: giajax-out/RUN-explained]"] = None,
     force: Force = False,
     report: Annotated[bool, "Write explain.html."] = True,
-    figures: Annotated[bool, "Draw figures of the result."] = True,
+    figures: Figures = True,
     as_json: Json = False,
     quiet: Quiet = False,
     **settings: Unpack[Settings],

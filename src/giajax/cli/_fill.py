@@ -13,7 +13,7 @@ from ._commands import (
     Force,
     Json,
     Quiet,
-    Texts,
+    Settings,
     argument,
     check_quiet,
     command,
@@ -61,7 +61,7 @@ def fill(
     definition: Annotated[
         Path | None, argument("DEFINITION", "TOML file with [arm] and [filling] sections.")
     ] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "Value of a parameter in SI units.", "--set"] = None,
+    pairs: Settings = None,
     minutes: Annotated[
         float, "MIN", "Filling time for the curve of supply versus port diameter."
     ] = 23.0,

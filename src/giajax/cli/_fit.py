@@ -28,7 +28,9 @@ from ..runtime.process import (
 from ..runtime.text import InputError, time_in_words
 from ._commands import (
     Cores,
+    Figures,
     Force,
+    HoldOut,
     Json,
     Paths,
     Quiet,
@@ -485,9 +487,7 @@ class Settings(TypedDict):
     channels: Annotated[
         Texts, "CHANNEL", "Fit only this channel, named without the unit, such as link20_z."
     ]
-    hold_out: Annotated[
-        Texts, "NAME", "Hold out a run, a channel, or the last fifth of each run (last)."
-    ]
+    hold_out: HoldOut
     window: Annotated[
         float | None,
         "S",
@@ -529,7 +529,9 @@ class Settings(TypedDict):
         "Estimate the noise separately for each run, or jointly for all runs. [default: jointly]",
         "--noise-per-run/--noise-pooled",
     ]
-    solver: Annotated[str | None, "NAME", "Integration method, such as tsit5. [default: springs5]"]
+    solver: Annotated[
+        str | None, "NAME", "Integration method, such as tsit5 or springs5. [default: springs5]"
+    ]
     tolerance: Annotated[
         float | None,
         "TOL",
@@ -654,7 +656,7 @@ def fit(
     strict: Annotated[bool, "Exit with status 3 if the model is inadequate or doubtful."] = False,
     quiet: Quiet = False,
     suspects: Annotated[bool, "Test fixed and omitted parameters after the fit."] = True,
-    figures: Annotated[bool, "Draw figures of the result."] = True,
+    figures: Figures = True,
     self_test: Annotated[
         bool, "Check the standard errors by repeated fits to data with new noise."
     ] = False,

@@ -14,7 +14,7 @@ from ._commands import (
     Force,
     Quiet,
     Renamed,
-    Texts,
+    Settings,
     ToRun,
     argument,
     command,
@@ -62,9 +62,7 @@ def joint(
     definition: Annotated[
         Path | None, argument("DEFINITION", "TOML file with [joint] and [muscle] sections.")
     ] = None,
-    pairs: Annotated[
-        Texts, "PATH=VALUE", "Value of a joint or muscle parameter in SI units.", "--set"
-    ] = None,
+    pairs: Settings = None,
     torque: Annotated[float | None, "N_M", "Torque on the joint. [default: 0.3]"] = None,
     angle: Annotated[list[float] | None, "DEG", "Draw the joint at this angle."] = None,
     target_angle: Annotated[

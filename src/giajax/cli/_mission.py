@@ -15,7 +15,7 @@ from ._commands import (
     Force,
     Json,
     Quiet,
-    Texts,
+    Settings,
     argument,
     check_quiet,
     command,
@@ -185,7 +185,7 @@ def mission(
     keep_station: Annotated[
         float | None, "S", "Hold the tip in front of the opening for this time."
     ] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "Value of an arm parameter.", "--set"] = None,
+    pairs: Settings = None,
     resting_run: Annotated[
         Path | None,
         "RUN.csv",

@@ -13,6 +13,7 @@ from ..runtime.text import InputError
 from ._commands import (
     Force,
     Json,
+    Links,
     OnlyChannels,
     Quiet,
     Renamed,
@@ -132,9 +133,9 @@ def parameters(
     data: Annotated[
         Path | None, "RUN.csv", "List the parameters of this run's model. [default: the arm model]"
     ] = None,
-    arm: Annotated[Path | None, "FILE.toml", "TOML file with the arm and its sensors."] = None,
+    arm: Annotated[Path | None, "FILE.toml", "TOML file with an [arm] section."] = None,
     preset: Annotated[str | None, "NAME", "Preset of the arm. [default: takeichi_20m]"] = None,
-    links: Annotated[int | None, "N", "Number of links of the arm."] = None,
+    links: Links = None,
     as_json: Json = False,
 ) -> None:
     """List every parameter of the arm, or of a run's model.

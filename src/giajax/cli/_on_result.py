@@ -16,6 +16,8 @@ import typer
 
 from ..runtime.process import configure
 from ._commands import (
+    Figures,
+    Folder,
     Force,
     Json,
     ManyProgress,
@@ -175,10 +177,10 @@ def on_result(
     *,
     group: str,
     workers: bool = False,
-    folder: str | None = None,
+    folder: bool = False,
     out: str | None = None,
     page: str | None = None,
-    figures: str | None = None,
+    figures: bool = False,
     pictures: bool = False,
     as_json: bool = False,
     old: Mapping[str, str | tuple[str, ...]] | None = None,
@@ -186,9 +188,9 @@ def on_result(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a function of `OnResult` and its own options a command on a result.
 
-    The arguments `folder`, `out`, `page` and `figures` are the help texts of these options, which
-    exist only if a text is given. A command with tasks has `workers`. A command with `figures`, or
-    one that always draws, has `pictures`. All other arguments are those of `command`.
+    The arguments `out` and `page` are the help texts of these options, which exist only if a text
+    is given. A command with tasks has `workers`, and `folder` if it can store them. A command with
+    `figures`, or one that always draws, has `pictures`. All other arguments are those of `command`.
     """
     shared: list[tuple[str, Any, Any]] = [
         (
@@ -199,10 +201,10 @@ def on_result(
         ("rename", Renamed, None),
         ("workers", workers and Workers, None),
         ("scheduler", workers and Scheduler, None),
-        ("folder", folder and Annotated[Path | None, "DIR", folder], None),
+        ("folder", folder and Folder, None),
         ("out", out and Annotated[Path | None, "DIR", out], None),
         ("page", page and Annotated[Path | None, "FILE.html", page], None),
-        ("figures", figures and Annotated[bool, figures], True),
+        ("figures", figures and Figures, True),
         ("force", Force, False),
         ("as_json", as_json and Json, False),
         ("quiet", Quiet, False),
@@ -226,7 +228,7 @@ def on_result(
         registered = command(
             examples,
             group=group,
-            pictures=pictures or figures is not None,
+            pictures=pictures or figures,
             old=old,
             old_words=old_words,
         )

@@ -13,7 +13,9 @@ from ._commands import (
     Force,
     Json,
     Quiet,
+    Scenarios,
     Texts,
+    argument,
     command,
     failed_simulation,
     origin,
@@ -38,13 +40,13 @@ _COMMAND, _PATH, _PAGE, _PICTURE = "command.csv", "path.csv", "plan.json", "plan
 @command(
     """\b
 Examples:
-  giajax plan --model giajax-out/run --pose 1=20 --pose 3=-10 --out planned
+  giajax plan giajax-out/run --pose 1=20 --pose 3=-10 --out planned
                             reach a pose as fast as the limits allow
-  giajax plan --model my_arm.toml --tip 16,5,3 --out planned
+  giajax plan my_arm.toml --tip 16,5,3 --out planned
                             bring the tip to a position (m)
-  giajax plan --model my_arm.toml --pose 1=20 --duration 60 --out planned
+  giajax plan my_arm.toml --pose 1=20 --duration 60 --out planned
                             move within 60 s with minimal swing
-  giajax plan --model missions/naraha.toml --through housetop --out planned
+  giajax plan missions/naraha.toml --through housetop --out planned
                             move through an opening without contact
   giajax synth --data planned/command.csv --model giajax-out/run \\
       --channels tip_z --to rehearsal.csv
@@ -61,10 +63,11 @@ The air is still, and the arm is initially at rest. The paper does not give
 the maximum joint rate of its arm: the default of 2 deg/s is an assumption.""",
     group="plan",
     pictures=True,
+    old={"--model": "MODEL", "--draws": "--scenarios"},
 )
 def plan(
     context: typer.Context,
-    model: Annotated[Path, "MODEL", "The arm; see below."],
+    model: Annotated[Path, argument("MODEL", "The arm; see below.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
     pose: Annotated[Texts, "JOINT=DEG", "Target: commanded angle of a joint."] = None,
     tip: Annotated[str | None, "X,Y,Z", "Target: position of the tip (m)."] = None,
@@ -75,7 +78,8 @@ def plan(
     duration: Annotated[
         float | None,
         "S",
-        "Minimise the swing of a command of this duration. [default: minimise the duration]",
+        "Duration of the command, for which the swing is minimised. [default: minimise the "
+        "duration]",
     ] = None,
     max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 60.0,
     max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 2.0,
@@ -84,8 +88,8 @@ def plan(
     within: Annotated[
         float, "PERCENT", "Settling band of the tip, as a percentage of its travel."
     ] = 2.0,
-    knots: Annotated[int, "N", "Number of linear segments of the command.", 2] = 10,
-    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0] = 20,
+    knots: Annotated[int, "N", "Number of knots of each joint command after its start.", 2] = 10,
+    scenarios: Scenarios = 20,
     as_json: Json = False,
     quiet: Quiet = False,
     force: Force = False,
@@ -139,7 +143,7 @@ def plan(
             duration=duration,
             within=within / 100,
             knots=knots,
-            draw_count=draws,
+            draw_count=scenarios,
             progress=say_progress(quiet),
         )
     text = json.dumps(plan_facts(found), indent=2, allow_nan=False)

@@ -15,9 +15,11 @@ from ._commands import (
     Json,
     Links,
     Quiet,
+    Ramp,
     Replayed,
     Settings,
     Solver,
+    Step,
     Texts,
     Tolerance,
     Wind,
@@ -88,12 +90,8 @@ def sensitivity(
     arm: Annotated[Path | None, "FILE.toml", "TOML file with an [arm] section."] = None,
     links: Links = None,
     pairs: Settings = None,
-    step: Annotated[
-        Texts, "JOINT=DEG[@T]", "Step change of the commanded angle of a joint."
-    ] = None,
-    ramp: Annotated[
-        Texts, "JOINT=DEG[@START:DURATION]", "Linear change of the commanded angle of a joint."
-    ] = None,
+    step: Step = None,
+    ramp: Ramp = None,
     command: Replayed = None,
     wind: Wind = None,
     duration: Annotated[float | None, "S", "Duration of the run. [default: 25]"] = None,
@@ -104,8 +102,8 @@ def sensitivity(
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Noise standard deviation for KEY, a key of [noise]. [default: from the run, otherwise "
-        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
+        "Standard deviation of the white noise for KEY, a key of [noise]. [default: from the run, "
+        "otherwise position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -312,6 +310,8 @@ design.png.""",
         "--angle": "--max-angle",
         "--angle-rate": "--max-angle-rate",
         "--iterations": "--max-iterations",
+        "--starts": "--candidates",
+        "--draws": "--scenarios",
     },
 )
 def design(
@@ -332,8 +332,8 @@ def design(
         "[default: c for one parameter, otherwise A]",
     ] = None,
     joints: Annotated[str, "N,N", "Joints that may be commanded."] = "1",
-    max_angle: Annotated[float, "DEG", "Largest angle of a joint."] = 30.0,
-    max_angle_rate: Annotated[float, "DEG/S", "Largest angular rate of a joint."] = 30.0,
+    max_angle: Annotated[float, "DEG", "Largest commanded angle of a joint."] = 30.0,
+    max_angle_rate: Annotated[float, "DEG/S", "Largest rate of a commanded angle."] = 30.0,
     duration: Annotated[float, "S", "Duration of the run."] = 25.0,
     rate: Annotated[float, "HZ", "Samples per second."] = 10.0,
     channels: Annotated[
@@ -345,24 +345,25 @@ def design(
     noise: Annotated[
         Texts,
         "KEY=VALUE",
-        "Noise standard deviation for KEY, a key of [noise]. [default: from the fit, otherwise "
-        "position_m=0.01, angle_deg=0.5, pixel_px=2]",
+        "Standard deviation of the white noise for KEY, a key of [noise]. [default: from the fit, "
+        "otherwise position_m=0.01, angle_deg=0.5, pixel_px=2]",
     ] = None,
     relative_uncertainty: Annotated[
         float | None,
         "SHARE",
         "Relative uncertainty of the free parameters. [default: from the fit, otherwise 0.2]",
     ] = None,
-    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 1] = 4,
+    scenarios: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 1] = 4,
     worst: Annotated[
         bool, "Minimise the largest error of all draws instead of their mean error."
     ] = False,
     knots: Annotated[
         int | None,
         "N",
-        "Number of turning points of each joint command. [default: 15, or 30 for all joints]",
+        "Number of knots of each joint command after its start. [default: 15, or 30 for all "
+        "joints]",
     ] = None,
-    starts: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
+    candidates: Annotated[int, "N", "Number of commands compared before the optimisation.", 1] = 6,
     follow: Annotated[int, "N", "Number of compared commands that are then optimised.", 1] = 2,
     max_iterations: Annotated[
         int, "N", "Maximum number of optimiser steps for each command.", 1
@@ -406,9 +407,9 @@ def design(
         noise=deviations(section, "--noise", names),
         uncertainty=relative_uncertainty,
         over="worst" if worst else "mean",
-        draw_count=draws,
+        draw_count=scenarios,
         knots=knots,
-        starts=starts,
+        starts=candidates,
         follow=follow,
         iterations=max_iterations,
         progress=stop_if_asked if quiet else _Progress(),

@@ -15,6 +15,8 @@ from ._commands import (
     Json,
     Quiet,
     Renamed,
+    RunModel,
+    Scenarios,
     Texts,
     argument,
     command,
@@ -46,20 +48,21 @@ Examples:
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
-section. The default is the arm of the sidecar. The output files are
+section. The output files are
 command_zv.csv, command_zvd.csv and command_ei.csv (commands for an operator),
 shape.json and shape.png. The residual is the largest distance between the tip
 and its final position at any time after the end of the command, in still air.""",
     group="plan",
     pictures=True,
+    old={"--draws": "--scenarios"},
 )
 def shape(
     run: Annotated[Path, argument("COMMAND.csv", "A run with the commands to shape.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
+    model: RunModel = None,
     shaper: Annotated[Texts, "NAME", "Shaper: ZV, ZVD or EI. [default: all]"] = None,
     tune: Annotated[bool, "Optimise the period and damping of the shapers by simulation."] = True,
-    draws: Annotated[int, "N", "Number of random draws of the uncertain parameters.", 0] = 20,
+    scenarios: Scenarios = 20,
     rename: Renamed = None,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -93,7 +96,7 @@ def shape(
             given,
             shapers=names,
             tuned=tune,
-            draw_count=draws,
+            draw_count=scenarios,
             progress=say_progress(quiet),
         )
     text = json.dumps(shaping_facts(found), indent=2, allow_nan=False)

@@ -14,9 +14,15 @@ from ._commands import (
     Digits,
     Force,
     Links,
+    Missing,
+    Noise,
     Quiet,
+    Ramp,
     Replayed,
+    RunModel,
+    Settings,
     Solver,
+    Step,
     Texts,
     Tolerance,
     ToRun,
@@ -308,6 +314,7 @@ Examples:
   giajax simulate --wind 0,0.2,0 --gusts 0.3:5 --coherence 12 --to run.csv
                             simulate gusts without commands
 
+`giajax parameters` lists the parameters.
 CHANNEL is link06 (its x, y and z), link06_z, tip, joint03_angle, joint03_rate,
 'joints' (all angles) or 'all' (every link). A row is added for each corner of a
 command between two samples.""",
@@ -318,32 +325,19 @@ def simulate(
     context: typer.Context,
     to: ToRun,
     arm: Annotated[
-        Path | None, "FILE.toml", "File with [arm], [initial], [command] and [wind] sections."
+        Path | None, "FILE.toml", "TOML file with [arm], [initial], [command] and [wind] sections."
     ] = None,
     links: Links = None,
-    pairs: Annotated[
-        Texts, "PATH=VALUE", "A parameter, as listed by 'giajax parameters'.", "--set"
-    ] = None,
-    step: Annotated[
-        Texts,
-        "JOINT=DEG[@T]",
-        "Step change of the commanded angle of a joint, by default at 0.5 s.",
-    ] = None,
-    ramp: Annotated[
-        Texts,
-        "JOINT=DEG[@START:DURATION]",
-        "Linear change of the commanded angle of a joint, by default starting at 0.5 s and lasting "
-        "1 s.",
-    ] = None,
+    pairs: Settings = None,
+    step: Step = None,
+    ramp: Ramp = None,
     command: Replayed = None,
     wind: Wind = None,
-    gusts: Annotated[
-        str | None, "I:L", "Intensity and length scale (m) of gusts about the mean wind."
-    ] = None,
+    gusts: Annotated[str | None, "I:L", "Intensity and length scale (m) of the gusts."] = None,
     coherence: Annotated[
         float | None,
         "DECAY",
-        "Decay coefficient of the gust coherence along the arm (12 in IEC 61400-1). [default: the "
+        "Decay coefficient of the gust coherence with distance (12 in IEC 61400-1). [default: the "
         "same gusts along the whole arm]",
     ] = None,
     duration: Annotated[
@@ -353,10 +347,8 @@ def simulate(
     channels: Annotated[
         Texts, "CHANNEL", "Channels to record; see below. [default: links 2, 6, 12, 20 and tip]"
     ] = None,
-    noise: Annotated[
-        Texts, "KEY=VALUE", "Noise standard deviation for KEY, a key of [noise]."
-    ] = None,
-    missing: Annotated[float, "PERCENT", "Percentage of missing samples in each channel."] = 0.0,
+    noise: Noise = None,
+    missing: Missing = 0.0,
     seed: Annotated[int, "N", "Seed of the random numbers for noise, gaps and gusts.", 0] = 0,
     solver: Solver = "springs5",
     tolerance: Tolerance = 1e-7,
@@ -485,17 +477,15 @@ file whose [arm] (or other section) describes a model with all its parameters.
 def synth(
     data: Annotated[Path, "RUN.csv", "The run to simulate again."],
     to: ToRun,
-    model: Annotated[
-        Path | None, "MODEL", "The true model; see below. [default: the model of the run]"
-    ] = None,
-    pairs: Annotated[Texts, "PATH=VALUE", "True value of a parameter.", "--set"] = None,
+    model: RunModel = None,
+    pairs: Settings = None,
     channels: Annotated[
         Texts, "CHANNEL", "A channel to record. [default: the channels of the run]"
     ] = None,
-    noise: Annotated[Texts, "KEY=VALUE", "Standard deviation of white noise."] = None,
+    noise: Noise = None,
     correlated: Annotated[Texts, "KEY=VALUE", "Standard deviation of correlated noise."] = None,
     correlation_time: Annotated[float, "S", "Correlation time of the correlated noise."] = 0.5,
-    missing: Annotated[float, "PERCENT", "Percentage of single cells that are missing."] = 0.0,
+    missing: Missing = 0.0,
     bursts: Annotated[float, "PERCENT", "Percentage of samples missing in bursts."] = 0.0,
     burst_duration: Annotated[float, "S", "Duration of a burst."] = 1.0,
     outliers: Annotated[float, "PERCENT", "Percentage of cells that are outliers."] = 0.0,

@@ -53,8 +53,8 @@ of further paths are added. After Ctrl-C, repeat the command to continue. With -
 profiles are computed again.""",
     group="trust",
     workers=True,
-    folder="Folder in which each finished side of a profile is stored.",
-    figures="Draw profiles.png.",
+    folder=True,
+    figures=True,
     as_json=True,
     old_words="--parameter",
 )
@@ -202,8 +202,6 @@ def _is_unfinished(path: Path, result: "FitResult") -> bool:
 # Repetitions of a self-test: the spread is known to 7 %, in about a minute for a fit of seconds.
 _SELF_TEST = 96
 
-_KEPT = "Folder in which each finished task is stored."
-
 
 @on_result(
     """\b
@@ -224,9 +222,9 @@ the finished repetitions. With --folder DIR, repeat the command with
 --force to compute the remaining repetitions.""",
     group="trust",
     workers=True,
-    folder=_KEPT,
+    folder=True,
     out="Output folder for bootstrap.json. [default: the folder of RESULT]",
-    figures="Draw a figure of the repetitions.",
+    figures=True,
     as_json=True,
     old={"--out FILE.json": "--out"},
 )
@@ -287,9 +285,9 @@ their original paths. The command writes influence.json and influence.png beside
 the result, where `giajax report` finds them.""",
     group="trust",
     workers=True,
-    folder=_KEPT,
+    folder=True,
     out="Output folder for influence.json. [default: the folder of RESULT]",
-    figures="Draw a map of the influences.",
+    figures=True,
     as_json=True,
     old={"--most": "--rows", "--out FILE.json": "--out"},
 )
@@ -349,11 +347,11 @@ def suspects(
     ] = False,
     uncertainty: Annotated[Texts, "PATH=VALUE", "Standard deviation of a fixed parameter."] = None,
     ladder: Annotated[bool, "Fit the most promising suspects in turn."] = False,
-    validation: Annotated[Paths, "RUN.csv", "A run on which each ladder step is validated."] = None,
+    validation: Annotated[Paths, "RUN.csv", "A run for validation."] = None,
     rows: Annotated[int, "N", "Number of table rows.", 1] = 8,
-    max_steps: Annotated[int, "N", "Maximum number of ladder steps.", 1] = 8,
+    max_steps: Annotated[int, "N", "Maximum number of steps.", 1] = 8,
     tries: Annotated[
-        int | None, "N", "Number of suspects fitted in each ladder step. [default: 3]", 1
+        int | None, "N", "Number of suspects fitted at each step. [default: 3]", 1
     ] = None,
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.

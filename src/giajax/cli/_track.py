@@ -18,6 +18,7 @@ from ._commands import (
     OnlyChannels,
     Quiet,
     Renamed,
+    RunModel,
     Texts,
     argument,
     check_quiet,
@@ -60,28 +61,28 @@ Examples:
 
 \b
 MODEL is the folder of a fit, its result.json, or a TOML file with an [arm]
-section. The default is the arm of the sidecar. The standard errors of a fit
-are used as the uncertainty of its parameters. The output files are
-estimate.csv (a run of the smoothed states), bands.csv (their standard
-deviations), track.json, track.png and track.html. The page needs the extra
-'report': pip install 'giajax[report]', or pip install '.[report]' in a
-checkout.
+section. The standard errors of a fit are used as the uncertainty of its
+parameters. The output files are estimate.csv (a run of the smoothed states),
+bands.csv (their standard deviations), track.json, track.png and track.html.
+The page needs the extra 'report': pip install 'giajax[report]', or
+pip install '.[report]' in a checkout.
 
 \b
 With --live, or with - for standard input, a line is printed for each second
 of the recording. The files are written at the end of the run or after Ctrl-C.""",
     group="plan",
     pictures=True,
+    old={"--torque": "--torque-noise"},
 )
 def track(
     run: Annotated[Path, argument("RUN.csv", "A run with commands and measurements.")],
     out: Annotated[Path, "DIR", "Folder for the files."],
-    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
+    model: RunModel = None,
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Estimate the wind, given an approximate mean flow (m/s). [default: known wind or still "
-        "air]",
+        "Estimate the wind from an approximate mean wind velocity (m/s). [default: known wind or "
+        "still air]",
         "--wind",
     ] = None,
     gusts: Annotated[
@@ -90,7 +91,7 @@ def track(
     coherence: Annotated[
         float | None,
         "DECAY",
-        "Decay coefficient of the gust coherence with distance. [default: 12]",
+        "Decay coefficient of the gust coherence with distance (12 in IEC 61400-1). [default: 12]",
     ] = None,
     places: Annotated[
         int | None,
@@ -120,7 +121,7 @@ def track(
         "S",
         "Track while the file is being written, and stop when it has not grown for this time.",
     ] = None,
-    torque: Annotated[
+    torque_noise: Annotated[
         float | None,
         "N_M",
         "Intensity of the unmodelled white-noise torque of a joint (N m root(s)). [default: from "
@@ -206,7 +207,7 @@ def track(
             biases=_biases(recorded, bias),
             considered=considered,
             estimated=estimated,
-            torque=torque,
+            torque=torque_noise,
         )
 
     if followed:

@@ -15,6 +15,7 @@ from ._commands import (
     Quiet,
     Renamed,
     Texts,
+    argument,
     check_quiet,
     command,
     print_table,
@@ -38,7 +39,7 @@ _FILES = ("wind.json", "wind.png")
 Examples:
   giajax wind --data resting.csv --wind 0,0.2,0
                             use an initial mean flow along y
-  giajax wind --data resting.csv --model giajax-out/run --out wind
+  giajax wind giajax-out/run --data resting.csv --out wind
                             use the fitted arm, and write files
   giajax wind --data resting.csv --wind 0,0.2,0 --free decay --skip 60 --json
                             also fit the decay, and omit the first minute
@@ -48,20 +49,21 @@ The default is the arm of the sidecar. NAME is speed, deviation or length_scale
 (which are free by default), or decay, heading or climb (which are fixed by default).""",
     group="plan",
     pictures=True,
+    old={"--model": "MODEL"},
 )
 def wind(
     data: Annotated[Path, "RUN.csv", "A run with constant commands."],
-    model: Annotated[Path | None, "MODEL", "The arm; see below."] = None,
+    model: Annotated[Path | None, argument("MODEL", "The arm; see below.")] = None,
     mean: Annotated[
         str | None,
         "X,Y,Z",
-        "Initial mean flow (m/s); its direction is fixed by default. [default: from the run or the "
-        "arm]",
+        "Initial mean wind velocity (m/s), whose direction is fixed by default. [default: from the "
+        "run or the arm]",
         "--wind",
     ] = None,
     gusts: Annotated[str, "I:L", "Initial intensity and length scale (m) of the gusts."] = "0.2:5",
     coherence: Annotated[
-        float, "DECAY", "Decay coefficient of the gust coherence with distance."
+        float, "DECAY", "Decay coefficient of the gust coherence with distance (12 in IEC 61400-1)."
     ] = 12.0,
     free: Annotated[Texts, "NAME", "Also fit this parameter of the wind."] = None,
     hold: Annotated[Texts, "NAME", "Fix this parameter of the wind."] = None,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fitting import FitResult, PredictionErrors, errors_of, fit, prediction_errors
 from ..models import AbstractModel, HysteresisModel, as_stated, hysteresis_keys, model_for
-from ..recordings import Definition, Run
+from ..recordings import Definition, Run, hold_out
 from ..runtime.text import InputError
 from ..schema import HysteresisSection
 from ..schema.parameters import default_free
@@ -54,28 +54,15 @@ CANDIDATES: dict[str, CandidateModel] = {
 _LEAST = 8
 
 
-def parted(run: Run, fraction: float) -> tuple[Run, Run]:
-    """Split a run into a copy with its first measurements and a copy with the rest, for validation.
-
-    Both copies contain the whole input, because the state of the hysteresis depends on it. An
-    `InputError` is raised if the fraction is not between 0 and 1, or if a part has too few values.
-    """
-    if not 0 < fraction < 1:
-        raise InputError(f"the held-out fraction is {fraction:g}: give a value between 0 and 1")
-    name, values = next(iter(run.observations.items()))
-    measured = np.flatnonzero(~np.isnan(values))
-    first = round(len(measured) * (1 - fraction))
-    if first < _LEAST or len(measured) - first < _LEAST:
-        raise InputError(
-            f"'{run.name}' has {len(measured)} measured values, too few to hold out "
-            f"{fraction:.0%} of them: give a longer run, or another run for validation"
-        )
-    early, late = values.copy(), values.copy()
-    early[measured[first:]] = late[measured[:first]] = np.nan
-    fitted, judged = (
-        dataclasses.replace(run, values={**run.values, name: part}) for part in (early, late)
-    )
-    return fitted, judged
+def check_loops(runs: Sequence[Run]) -> None:
+    """Raise an error if a run, or what is held out of it, has too few values."""
+    for run in runs:
+        count = max(np.sum(~np.isnan(values)) for values in run.observations.values())
+        if count < _LEAST:
+            raise InputError(
+                f"'{run.name}' has a part of {count} measured values, too few to fit or to "
+                "validate on: hold out another part, or give a longer run"
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -258,8 +245,8 @@ def choose_hysteresis(
         progress: function that is called with each name before the model is fitted.
 
     Raises:
-        InputError: a name is unknown; no name is given; the fraction leaves too few values; or a
-            run is not a hysteresis run.
+        InputError: a name is unknown; no name is given; a part has too few values; or a run is
+            not a hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
     unknown = [name for name in names if name not in CANDIDATES]
@@ -274,7 +261,10 @@ def choose_hysteresis(
         run.require_observations()
     fitted, judged = runs, held_out
     if not held_out:
-        fitted, judged = zip(*(parted(run, fraction) for run in runs), strict=True)
+        parts = hold_out(runs, [f"last:{fraction:f}"])
+        fitted = [part.fitted for part in parts if part.fitted is not None]
+        judged = [part.held for part in parts if part.held is not None]
+    check_loops([*fitted, *judged])
     tried = []
     for name in names:
         if progress is not None:

@@ -52,7 +52,7 @@ def asked(source=None, **changes):
 def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     """The files are read back, and the information is compared with finite differences."""
     out = tmp_path / "next"
-    search = ["--starts", "4", "--follow", "1", "--max-iterations", "5", "--markers", "1"]
+    search = ["--candidates", "4", "--follow", "1", "--max-iterations", "5", "--markers", "1"]
     words = [
         "design",
         "--parameter",
@@ -60,7 +60,7 @@ def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
         *SMALL,
         *QUICK,
         *search,
-        "--draws",
+        "--scenarios",
         "2",
         "--out",
         str(out),

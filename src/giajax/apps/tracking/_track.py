@@ -750,8 +750,8 @@ def track(
     else:
         raise InputError(
             f"the arm cannot be tracked in '{run.name}', because its state becomes infinite: allow "
-            f"more unmodelled torque than {float(tracked.torque):.2g} (--torque), or compare model "
-            "and wind with the run first ('giajax fit')"
+            f"more unmodelled torque than {float(tracked.torque):.2g} (--torque-noise), or compare "
+            "model and wind with the run first ('giajax fit')"
         )
     if not np.any(found.used):
         raise InputError(

@@ -295,7 +295,7 @@ def _others(stated: ArmModel, found: Track, nis: float) -> list[Any]:
             "more unmodelled torque",
             also(torque=torque),
             None,
-            f"allow more torque: --torque {torque:.2g}",
+            f"allow more torque: --torque-noise {torque:.2g}",
         )
     )
     noisier = {name: float(np.sqrt(nis)) * size for name, size in found.noise.items()}
