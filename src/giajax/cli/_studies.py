@@ -61,7 +61,7 @@ profiles are computed again.""",
 def profile(
     given: OnResult,
     parameter: Annotated[
-        Texts, "PATH", "Parameter to profile. [default: all free parameters]"
+        Texts, "PATH", "A parameter to profile. [default: all free parameters]"
     ] = None,
     level: Annotated[float, "P", "Confidence level of the intervals, between 0 and 1."] = 0.95,
 ) -> None:
