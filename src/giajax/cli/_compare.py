@@ -82,9 +82,9 @@ def compare(
     if as_json or quiet:
         return
     parameters, whole = contrast_tables(found)
-    print_table(*parameters, left=2)
+    print_table(parameters.headings, parameters.rows, left=parameters.words)
     print()
-    print_table(*whole)
+    print_table(whole.headings, whole.rows)
     for note in found.notes:
         print(f"\n{note}")
     if page is not None:

@@ -347,14 +347,14 @@ def predict(
     ours = model_of(model, runs)
     other = None if against is None else model_of(against, runs_for(against))
     headings = ["run", "channel", "unit", "values", "RMSE", "largest", "RMSE of the other", "ratio"]
-    keys = ("run", "channel", "unit", "n", "rmse", "largest", "reference_rmse", "ratio")
+    keys = ["run", "channel", "unit", "n", "rmse", "largest", "reference_rmse", "ratio"]
     names = [name.strip() for words in without or [] for name in words.split(",")]
     compared = compare(ours, runs, other, refit_initial=refit_initial, without=names)
-    rows = [[getattr(one, key) for key in keys] for one in compared]
     if against is None:
-        headings, rows = headings[:-2], [row[:-2] for row in rows]
+        headings, keys = headings[:-2], keys[:-2]
+    rows = [[getattr(one, key) for key in keys] for one in compared]
     if not quiet:
         print_table(headings, rows, left=3)
     if to is not None:
-        lines = [",".join(str(cell) for cell in row) for row in [headings, *rows]]
+        lines = [",".join(str(cell) for cell in row) for row in [keys, *rows]]
         write_files({to: ("\n".join(lines) + "\n").encode()}, force=force)

@@ -122,8 +122,12 @@ def _estimate(row: dict[str, Any], path: str) -> str | None:
 
 
 def _show(table: "pl.DataFrame", columns: list[str]) -> None:
-    """Print the first rows: the differences, the estimates, and the verdicts."""
-    paths = [name.removeprefix("value.") for name in table.columns if name.startswith("value.")]
+    """Print the first rows: the differences, the estimates, and the verdicts.
+
+    Only the file contains the values of single runs (`PATH of RUN`), which can be many.
+    """
+    values = [name.removeprefix("value.") for name in table.columns if name.startswith("value.")]
+    paths = [path for path in values if " of " not in path]
     headings = [*columns, "status", *paths, "verdict"]
     rows = [
         [
@@ -136,6 +140,8 @@ def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     print_table(headings, rows, left=0)
     if len(table) > _ROWS:
         print(f"... and {len(table) - _ROWS} more fits")
+    if len(values) > len(paths):
+        print(f"... and {len(values) - len(paths)} values of single runs, which are in the file")
     failed = table.filter(table["status"] == "failed")["message"].unique(maintain_order=True)
     for message in failed.head(3):
         print(f"failed: {message}")

@@ -8,7 +8,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +16,13 @@ from ..models import AbstractModel
 from ..noise import ChannelNoise
 from ..recordings import Channel, Run
 from ..runtime.records import Numbers
-from ..runtime.text import InputError, format_bounds, format_estimate, wrapped
+from ..runtime.text import (
+    InputError,
+    format_bounds,
+    format_estimate,
+    with_run_column,
+    wrapped,
+)
 from ..schema.parameters import declared, replace
 from ._configuration import resolved_ties, tied
 from ._coordinates import Layout, members
@@ -302,19 +308,10 @@ _LEAST_REMARK = 36
 _NUMBERS = ("value", "error")
 
 
-class EstimateRow(NamedTuple):
-    """Cells of one estimate. Their names are the headings."""
-
-    parameter: str
-    value: str
-    error: str
-    unit: str
-    bounds: str
-    remark: str
-
-
 def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) -> str:
     """Return a table with value, standard error, unit, bounds and remark of each estimate.
+
+    Values of single runs have their runs in a column.
 
     Arguments:
         estimates: estimates by path.
@@ -324,33 +321,32 @@ def estimate_table(estimates: Mapping[str, Estimate], width: int | None = None) 
     Returns:
         The lines, without a newline at the end.
     """
-    headings = EstimateRow(*EstimateRow._fields)
-    rows = estimate_rows(estimates)
+    headings, rows = estimate_cells(estimates)
     sizes = [max(map(len, column)) for column in zip(headings, *rows, strict=True)][:-1]
     before = sum(sizes) + 2 * len(sizes)
-    longest = max(len(row.remark) for row in (headings, *rows))
+    longest = max(len(row[-1]) for row in (headings, *rows))
     below = width is not None and width - before < min(longest, _LEAST_REMARK)
     lines: list[str] = []
-    for row in (headings._replace(remark="") if below else headings, *rows):
-        cells = zip(EstimateRow._fields, row, sizes, strict=False)
+    for row in ([*headings[:-1], ""] if below else headings, *rows):
+        cells = zip(headings, row, sizes, strict=False)
         start = "  ".join(
             cell.rjust(size) if name in _NUMBERS else cell.ljust(size) for name, cell, size in cells
         )
         if below:
-            lines += [start.rstrip(), *wrapped(row.remark, width, "    ", "    ")]
+            lines += [start.rstrip(), *wrapped(row[-1], width, "    ", "    ")]
         else:
-            lines += wrapped(row.remark, width, start + "  ", " " * before) or [start.rstrip()]
+            lines += wrapped(row[-1], width, start + "  ", " " * before) or [start.rstrip()]
     return "\n".join(lines)
 
 
-def estimate_rows(estimates: Mapping[str, Estimate]) -> list[EstimateRow]:
-    """Return the cells of the table of estimates."""
+def estimate_cells(estimates: Mapping[str, Estimate]) -> tuple[list[str], list[list[str]]]:
+    """Return the headings and the rows of the table of estimates."""
     rows = []
     for path, estimate in estimates.items():
         value, error = format_estimate(estimate.value, estimate.standard_error)
         bounds = format_bounds(estimate.lower, estimate.upper)
-        rows.append(EstimateRow(path, value, error, estimate.unit or "-", bounds, estimate.remark))
-    return rows
+        rows.append((path, value, error, estimate.unit or "-", bounds, estimate.remark))
+    return with_run_column(("parameter", *_NUMBERS, "unit", "bounds", "remark"), rows)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -32,7 +32,6 @@ from ._records import (
     ChannelErrors,
     Correlation,
     Estimate,
-    EstimateRow,
     GradientCheck,
     HeldOut,
     Iteration,
@@ -45,7 +44,7 @@ from ._records import (
     Suspect,
     SystematicError,
     ToleranceEffect,
-    estimate_rows,
+    estimate_cells,
     estimate_table,
     model_of_run,
     rows_of_runs,
@@ -369,8 +368,7 @@ class FitResult(ShownAsTable):
         return f"{self.headline}\n\n{estimate_table(in_column_units(self.shown, self.model))}"
 
     def _table(self) -> tuple[str, Sequence[str], Sequence[Sequence[str]]]:
-        rows = estimate_rows(in_column_units(self.shown, self.model))
-        return self.headline, EstimateRow._fields, rows
+        return self.headline, *estimate_cells(in_column_units(self.shown, self.model))
 
     @property
     def headline(self) -> str:

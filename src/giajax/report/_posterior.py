@@ -379,7 +379,7 @@ _PICTURES = {
 
 
 def _table(summary: PosteriorSummary, result: FitResult, most: int | None = None) -> Table:
-    return Table(POSTERIOR_HEADINGS, posterior_rows(summary, result)[:most], 2)
+    return Table.of_parameters(POSTERIOR_HEADINGS, posterior_rows(summary, result)[:most], 2)
 
 
 def _chains(summary: PosteriorSummary) -> str:

@@ -195,7 +195,7 @@ def _in_columns(profile: Profile, model: AbstractModel) -> tuple[float, str]:
 
 
 def _table(found: Profiles, result: FitResult, most: int | None = None) -> Table:
-    return Table(list(PROFILE_HEADINGS), profile_rows(found, result)[:most])
+    return Table.of_parameters(PROFILE_HEADINGS, profile_rows(found, result)[:most])
 
 
 def _section(found: Profiles, result: FitResult, folder: Path) -> PageSection:

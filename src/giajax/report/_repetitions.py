@@ -167,7 +167,7 @@ def _bootstrap_section(found: Bootstrap, result: FitResult, folder: Path) -> Pag
         name="Repetitions",
         heading="Repetitions of the fit",
         intro=f"{first}.",
-        table=Table(*bootstrap_table(found)),
+        table=Table.of_parameters(*bootstrap_table(found)),
         sentences=others,
         plots=[(path, _histogram(one)) for path, one in _drawn(found, _MOST_ON_PAGE)],
         note="Bars: estimates of the repetitions. Dashed line: the result from which their data "
@@ -200,7 +200,7 @@ def _histogram(one: Repeated) -> str:
 RecordView(
     place=1,
     record=Bootstrap,
-    table=lambda found, result, most: Table(*bootstrap_table(found)),
+    table=lambda found, result, most: Table.of_parameters(*bootstrap_table(found)),
     sentences=lambda found, most: bootstrap_summary(found),
     figure=lambda found, result: bootstrap_figure(found),
     section=_bootstrap_section,

@@ -255,8 +255,8 @@ def _plain(value: Any) -> str:
 PLUS_MINUS = "\N{PLUS-MINUS SIGN}"
 
 
-def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list[str], Rows]]:
-    """Return headings and rows of two tables: of the parameters, and of the results."""
+def contrast_tables(found: Contrast) -> tuple[Table, Table]:
+    """Return two tables: of the parameters, and of the results."""
     names = [column.name for column in found.columns]
     headings = ["parameter", "unit", *names, *(f"{name} - {names[0]}" for name in names[1:])]
     rows = [
@@ -278,7 +278,8 @@ def contrast_tables(found: Contrast) -> tuple[tuple[list[str], Rows], tuple[list
     if any(column.held_out is not None for column in columns):
         words = "held out: error / expected error"
         about[words] = [format_number(column.held_out) for column in columns]
-    return (headings, rows), (["", *names], [[name, *cells] for name, cells in about.items()])
+    whole = Table(["", *names], [[name, *cells] for name, cells in about.items()])
+    return Table.of_parameters(headings, rows, 2), whole
 
 
 def contrast_json(found: Contrast) -> str:

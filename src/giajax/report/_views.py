@@ -5,16 +5,16 @@ when it is made. Those of this package are found by their files, and an applicat
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Self, TypeVar
 
 from ..fitting import FitResult
 from ..runtime.files import read_bytes
 from ..runtime.limits import RESULT_BYTES
-from ..runtime.text import InputError
+from ..runtime.text import InputError, with_run_column
 from ..studies import StudyRecord
 
 if TYPE_CHECKING:  # the import is slow, and tables do not need it
@@ -29,6 +29,14 @@ class Table(NamedTuple):
     headings: list[str]
     rows: list[list[str]]
     words: int = 1
+
+    @classmethod
+    def of_parameters(
+        cls, headings: Sequence[str], rows: Sequence[Sequence[str]], words: int = 1
+    ) -> Self:
+        """Return a table of parameters, with the runs of those of single runs in a column."""
+        cells = with_run_column(headings, rows)
+        return cls(*cells, words + len(cells[0]) - len(headings))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -140,6 +140,26 @@ def shown(value: Any, longest: int = 60) -> str:
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 
+def with_run_column(
+    headings: Sequence[str], rows: Sequence[Sequence[str]]
+) -> tuple[list[str], list[list[str]]]:
+    """Split names such as `offset of 'a'` into a parameter and a column `run`, if there are any.
+
+    The parameter can then be pasted behind an option such as `--free`.
+
+    Example:
+        >>> with_run_column(("name", "value"), [("gain", "2"), ("offset of 'a', 'b'", "1")])
+        (['name', 'run', 'value'], [['gain', 'all', '2'], ['offset', 'a, b', '1']])
+    """
+    names = [row[0].partition(" of ") for row in rows]
+    if not any(runs for _, _, runs in names):
+        return list(headings), list(map(list, rows))
+    return [headings[0], "run", *headings[1:]], [
+        [path, runs.strip("'").replace("', '", ", ") or "all", *row[1:]]
+        for (path, _, runs), row in zip(names, rows, strict=True)
+    ]
+
+
 class ShownAsTable:
     """Base of objects that notebooks and `rich` show as a table; markup in it is plain text."""
 

@@ -13,6 +13,7 @@ from matplotlib.ticker import LogFormatter
 from ...recordings import Channel
 from ...report import BLUE, DEGREE, GREY, INK, VERMILLION, new_figure, plain
 from ...runtime.records import plain_data
+from ...runtime.text import format_estimate, format_number
 from ...studies import body_of
 from ._experiment import Design, Expected
 
@@ -24,19 +25,23 @@ _STYLES = (("design", BLUE, "-"), ("base step", VERMILLION, "--"))
 _MOST_NAMES = 12
 
 
-def design_rows(found: Design) -> list[tuple[Any, ...]]:
+def design_rows(found: Design) -> list[tuple[str, ...]]:
     """Return one row per free parameter with its expected standard errors, those of interest first.
 
-    The columns are `DESIGN_HEADINGS`. A value is None if the previous fit has no error for it.
+    The columns are `DESIGN_HEADINGS`. A value has the digits of its error in the previous fit.
     """
     order = [*found.wanted, *(path for path in found.parameters if path not in found.wanted)]
     rows = []
     for path in order:
         value, unit = found.parameters[path]
-        designed, base = found.designed.errors[path], found.base_step.errors[path]
-        ratio = designed / base if designed < math.inf and base < math.inf else None
-        shown = [one if one < math.inf else "not determined" for one in (designed, base)]
-        rows.append((path, value, *shown, ratio, found.before.get(path), unit or None))
+        both = found.designed.errors[path], found.base_step.errors[path]
+        ratio = both[0] / both[1] if max(both) < math.inf else None
+        expected = [
+            format_estimate(value, error)[1] if error < math.inf else "not determined"
+            for error in both
+        ]
+        shown, before = format_estimate(value, found.before.get(path))
+        rows.append((path, shown, *expected, format_number(ratio, ".2f"), before, unit or "-"))
     return rows
 
 

@@ -9,7 +9,6 @@ from ...fitting import FitResult
 from ...studies import Contrast, ContrastRow
 from .. import BLUE, GREEN, GREY, INK, VERMILLION, contrast_tables
 from .._style import ORANGE, PURPLE, SKY
-from .._views import Table
 from ._render import rendered, some_of
 from ._report import opening
 
@@ -36,8 +35,8 @@ def compare_page(found: Contrast, results: Sequence[FitResult]) -> bytes:
         names=names,
         colours=[_COLOURS[index % len(_COLOURS)] for index in range(len(names))],
         openings=list(zip(names, map(opening, results), strict=True)),
-        parameters=Table(*parameters, 2),
-        whole=Table(*whole, 1),
+        parameters=parameters,
+        whole=whole,
         pictures=[
             (row.path, row.unit, *drawn) for row in found.rows if (drawn := _drawn(row, names))
         ],

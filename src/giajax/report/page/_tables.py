@@ -14,7 +14,13 @@ from ...fitting import (
     column_factors,
     in_column_units,
 )
-from ...runtime.text import format_bounds, format_estimate, format_number, format_range
+from ...runtime.text import (
+    format_bounds,
+    format_estimate,
+    format_number,
+    format_range,
+    with_run_column,
+)
 from ...studies import distinct_optima, lost_starts, together
 from .. import Table
 from .._text import correlation_text
@@ -76,7 +82,8 @@ def parameter_rows(result: FitResult) -> list[dict[str, Any]]:
         row["interval"] = format_range(ends) if ends else "-"
         row |= {"bounds": format_bounds(one.lower, one.upper), "sources": _sources(one.sources)}
         rows.append(row | {"remark": one.remark, "free": one.free})
-    return rows
+    _, names = with_run_column(("parameter",), [[row["path"]] for row in rows])
+    return [row | {"names": name} for row, name in zip(rows, names, strict=True)]
 
 
 def _sources(sources: Mapping[str, float | None]) -> str:
