@@ -30,6 +30,8 @@ def test_errors_of_two_models_and_their_ratio(arm_fit, tmp_path):
     status, out, error = giajax(*asked, "--to", table)
     assert (status, error) == (0, "")
     rows = list(csv.DictReader(table.read_text().splitlines()))
+    keys = ["run", "channel", "unit", "n", "rmse", "largest", "reference_rmse", "ratio"]
+    assert list(rows[0]) == keys
     assert len(rows) == len(out.splitlines()) - 1
     assert all(float(row["ratio"]) < 1 for row in rows)
     assert {row["unit"] for row in rows} == {"m"}

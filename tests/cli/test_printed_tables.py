@@ -7,11 +7,14 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
+import small_loops
 from giajax.cli import main
 from giajax.cli._commands import print_table
 from giajax.cli._fit import Progress
 from giajax.fitting import Iteration
 from giajax.runtime.text import ShownAsTable, format_range
+from giajax.tasks import FitTask
+from page_reader import Page
 
 NAMES = ("links.inertia_transverse", "joints.pitch_stiffness", "air.drag_coefficient")
 MEANING = "what a reader wants to know of it, in a sentence that goes over several lines"
@@ -117,3 +120,51 @@ def test_what_follows_can_be_pasted(tmp_path, monkeypatch, capsys):
         seen.append(words[0])
     assert seen == ["init", "check", "fit"]
     assert words == ["fit", "--data", "my runs/run.csv", "--rename", "t=time_s"]
+
+
+def test_each_parameter_of_the_tables_of_a_fit_can_be_pasted(tmp_path, monkeypatch, capsys):
+    """The fit has a value for each run, and a parameter that the data do not determine."""
+    monkeypatch.chdir(tmp_path)
+    small_loops.write_task(tmp_path)
+    definition = small_loops.DEFINITION.replace("offset = 0.1", "").replace(
+        '"weights[0]"]', '"weights[0]", "offset", "previous_extremes"]\nper_run = ["offset"]'
+    )
+    (tmp_path / "two.toml").write_text(
+        definition.replace('data = ["loops.csv"]', 'data = ["loops.csv", "other.csv"]')
+    )
+    (tmp_path / "plan.toml").write_text('fit = "two.toml"\n[grid]\nloss = ["soft_l1"]\n')
+
+    def table(command):
+        """Return the cells of the first table that a command prints."""
+        assert main(command.split()) == 0
+        lines = capsys.readouterr().out.partition("\n\n")[0].splitlines()
+        return [re.split(r"\s{2,}", line.strip()) for line in lines]
+
+    tables = [
+        table("fit two.toml --out fit --no-figures --no-suspects"),
+        table("compare fit fit"),
+        table("profile fit --parameter offset --no-figures"),
+        table("bootstrap fit --size 2 --no-figures"),
+    ]
+    swept = dict(list(zip(*table("sweep plan.toml")[:2], strict=True))[2:-1])
+    assert main(["report", "fit"]) == 0
+    page = Page((tmp_path / "fit" / "report.html").read_bytes()).rows
+    # The page has the tables of estimates, of profiles and of repetitions.
+    assert sum(row[:2] in (["parameter", "run"], ["quantity", "run"]) for row in page) == 3
+    runs = {"all", "loops", "other"}
+    tables.append([["parameter", "run"], *(row for row in page if {*row[1:2]} & runs)])
+
+    seen = set(swept)
+    for (_, heading, *_), *rows in tables:
+        assert heading == "run"
+        assert runs >= {row[1] for row in rows}
+        seen |= {row[0] for row in rows}
+    assert seen == {"elastic", "weights[0]", "offset", "previous_extremes[0]"}
+    for path in seen:
+        again = FitTask.load("two.toml").on_top(free=[path], origin="the test").prepare()
+        assert path in [one.path for one in again.setup.parameters]
+
+    # What the data do not determine is marked.
+    (compared,) = (row for row in tables[1] if row[0] == "previous_extremes[0]")
+    for cell in (*compared[3:5], swept[compared[0]]):
+        assert cell.endswith(" (not determined)")
