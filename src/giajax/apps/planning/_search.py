@@ -24,7 +24,7 @@ from ...runtime.arrays import Array, Float, Scalar, safe_norm
 from ...runtime.programs import program
 from ...simulation import Signal
 from .._moves import Command, Flight
-from ._target import ROOM, CommandLimits, headroom, kept_last, without_contact
+from ._target import ROOM, CommandLimits, KeptLast, headroom, without_contact
 
 DURING, AFTER = 40, 96  # Samples of the motion during the command, and after it.
 _COEFFICIENT = 0.1  # Angle per unit of an unknown, rad.
@@ -152,7 +152,7 @@ class PlanProblem:
         free_end: bool,
     ) -> None:
         self.task, self.rate = task, limits.rate
-        self._looked = kept_last(self._look)
+        self._looked = KeptLast(self._look)
         self.knots, joints = task.base.shape
         moves = len(task.moves)
         self.rows = self.knots - 1 if free_end else self.knots - 2
@@ -182,7 +182,7 @@ class PlanProblem:
         """
         new = copy.copy(self)
         new.task = self.task._replace(near=self.task.near * share)
-        new._looked = kept_last(new._look)
+        new._looked = KeptLast(new._look)
         new.start = new._with_slack(y)
         return new
 

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -52,14 +51,16 @@ class CommandLimits:
 Looked = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def kept_last(look: Looked) -> Looked:
+class KeptLast:
     """Cache the last values and derivatives of a function; optimisers request each separately."""
 
-    @functools.lru_cache(maxsize=1)
-    def known(raw: bytes) -> tuple[np.ndarray, np.ndarray]:
-        return look(np.frombuffer(raw))
+    def __init__(self, look: Looked) -> None:
+        self._look, self._last = look, b""
 
-    return lambda unknown: known(np.asarray(unknown, dtype=float).tobytes())
+    def __call__(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if (raw := np.asarray(unknown, dtype=float).tobytes()) != self._last:
+            self._known, self._last = self._look(np.frombuffer(raw)), raw
+        return self._known
 
 
 def headroom(arm: Arm, command: Array, most: Array) -> Array:
@@ -189,7 +190,7 @@ def commands_reaching(
     goal, kept = (jnp.asarray(each, jnp.result_type(float)) for each in (place, near))
     most = jnp.asarray(limits.pressure or np.inf, kept.dtype)
 
-    @kept_last
+    @KeptLast
     def looked(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values, slopes = _at_rest(arm, jnp.asarray(angles, kept.dtype), goal, most)
         return np.nan_to_num(np.asarray(values)), np.nan_to_num(np.asarray(slopes))
