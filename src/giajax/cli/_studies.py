@@ -351,7 +351,7 @@ def suspects(
     rows: Annotated[int, "N", "Number of table rows.", 1] = 8,
     max_steps: Annotated[int, "N", "Maximum number of steps.", 1] = 8,
     tries: Annotated[
-        int | None, "N", "Number of suspects fitted at each step. [default: 3]", 1
+        int | None, "N", "Number of suspects fitted in each step. [default: 3]", 1
     ] = None,
 ) -> None:
     """Test parameters that a fit fixed, switched off or omitted.
