@@ -241,7 +241,7 @@ def doubts(
     worst = max(hats, key=lambda label: hats[label], default="")
     if worst and hats[worst] > MOST_R_HAT:
         sentences.append(
-            f"the chains have not converged, because R-hat of {worst} is {hats[worst]:.3f}, which "
+            f"the chains have not converged, because R-hat of {worst} is {hats[worst]:.4f}, which "
             f"is above {MOST_R_HAT:g}: use more draws and a longer warm-up"
         )
     sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}
