@@ -89,6 +89,7 @@ class Scene:
         times: times of the samples, s; None if they are not a time series.
         arrows: forces.
         blocks: obstacles.
+        channels: values that a page can plot over time, SI, by channel name.
     """
 
     lines: tuple[Line, ...]
@@ -96,11 +97,13 @@ class Scene:
     times: Float[np.ndarray, " sample"] | None = None
     arrows: tuple[Arrows, ...] = ()
     blocks: tuple[Block, ...] = ()
+    channels: Mapping[str, Float[np.ndarray, " sample"]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         lengths = {len(line.points) for line in self.lines}
         lengths |= {len(points) for points in self.markers.values()}
         lengths |= {len(arrows.origins) for arrows in self.arrows}
+        lengths |= {len(values) for values in self.channels.values()}
         if self.times is not None:
             lengths.add(len(self.times))
         if len(lengths) != 1:

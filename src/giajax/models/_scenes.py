@@ -28,7 +28,8 @@ def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
         One line `link` for each link, from its joint to its end; two lines `muscle` with pressures
         for each joint that has muscles; one marker for each tracked point (`link01`, ..., `tip`);
         the drag on each link as arrows `air` and the contact force as arrows `contact`, both at
-        its centre; and the obstacles.
+        its centre; the obstacles; and, for more than one sample, the joint angles and the commands
+        that are not zero as channels.
 
     Example:
         >>> import giajax, jax.numpy as jnp
@@ -57,7 +58,20 @@ def arm_scene(motion: Trajectory, marker: Marker | None = None) -> Scene:
         arrows.append(Arrows("contact", "N", middles, pressed))
         blocks = _blocks(arm)
     markers["tip"] = tip
-    return Scene(lines + _muscles(motion), markers, np.asarray(motion.times), tuple(arrows), blocks)
+    times = np.asarray(motion.times)
+    channels = _channels(motion) if len(times) > 1 else {}
+    return Scene(lines + _muscles(motion), markers, times, tuple(arrows), blocks, channels)
+
+
+def _channels(motion: Trajectory) -> dict[str, np.ndarray]:
+    """Return the joint angles, and the commands that are not zero, by channel name, rad."""
+    angles, commands = np.asarray(motion.angles), np.asarray(motion.commands)
+    joints = range(1, motion.arm.count + 1)
+    found = {f"joint{joint:02d}_angle": angles[:, joint - 1] for joint in joints}
+    for joint in joints:
+        if np.any(commands[:, joint - 1]):
+            found[f"joint{joint:02d}_command"] = commands[:, joint - 1]
+    return found
 
 
 def _muscles(motion: Trajectory) -> tuple[Line, ...]:

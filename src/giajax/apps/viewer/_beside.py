@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from ...models import Scene
+from ...recordings import Channel
 from ...runtime.arrays import Float
+from ...schema import QUANTITIES
 from ._show import Show, frames
 from ._stage import (
     AIR,
@@ -123,52 +125,99 @@ def _legend(stages: Sequence[Stage]) -> list[tuple[str, str]]:
     return [(f"rgb({red}, {green}, {blue})", text) for (red, green, blue), text in rows]
 
 
-_MOST_MARKERS = 20  # largest number of plotted markers per show
+# Largest numbers of plotted markers and of curves in one plot, per show: all joint angles and
+# commands of an arm of thirty joints. A curve has at most 300 samples, about 2 kB.
+_MOST_MARKERS, _MOST_CURVES = 20, 60
 
 
 def _plots(shows: Sequence[Show], times: np.ndarray) -> list[dict[str, Any]]:
-    """Return plots versus time: markers (the tip first), and the largest force and pressure."""
+    """Return plots versus time: the tip, channels, the largest force and pressure, markers."""
     found = []
     for show in shows:
         scene, samples = show.scene, [show.sample_at(float(time)) for time in times]
         of = f"{show.name}: " if len(shows) > 1 else ""
-        names = sorted(scene.markers, key=lambda name: name != "tip")
-        for name in names[:_MOST_MARKERS]:
-            recorded = show.recorded.get(name)
-            curves = [
-                {
-                    "name": f"{axis}" + (" (dots: recorded)" if recorded is not None else ""),
-                    "values": _numbers(scene.markers[name][samples, k]),
-                    "dots": None if recorded is None else _numbers(recorded[samples, k]),
-                }
-                for k, axis in enumerate("xyz")
-            ]
-            found.append({"title": f"{of}position of {name}, m", "curves": curves})
+        names = sorted(scene.markers, key=lambda name: (name != "tip", name not in show.recorded))
+        markers = [_position(show, name, samples, of) for name in names[:_MOST_MARKERS]]
+        tip = int("tip" in scene.markers)
+        found += [*markers[:tip], *_channels(show, samples, of)]
         for arrows in scene.arrows:
             if np.any(arrows.vectors):
                 largest = np.max(np.linalg.norm(arrows.vectors[samples], axis=-1), axis=1)
                 title = f"{of}{LAYERS.get(arrows.name, arrows.name)}, largest value, {arrows.unit}"
-                found.append({"title": title, "curves": [_curve("largest", largest)]})
+                found.append(_plot(title, f"force, {arrows.unit}", [_curve("largest", largest)]))
         pressures = [line.pressure for line in scene.lines if line.pressure is not None]
         if pressures:
             highest = np.max(np.stack(pressures)[:, samples], axis=0) / 1e5
             title = f"{of}highest pressure of any muscle, bar"
-            found.append({"title": title, "curves": [_curve("highest", highest)]})
+            found.append(_plot(title, "pressure, bar", [_curve("highest", highest)]))
+        found += markers[tip:]
     return found
 
 
-def _curve(name: str, values: np.ndarray) -> dict[str, Any]:
-    return {"name": name, "values": _numbers(values), "dots": None}
+def _position(show: Show, name: str, samples: list[int], of: str) -> dict[str, Any]:
+    points, recorded = show.scene.markers[name], show.recorded.get(name)
+    curves = [
+        _curve(axis, points[samples, k], None if recorded is None else recorded[samples, k])
+        for k, axis in enumerate("xyz")
+    ]
+    return _plot(f"{of}position of {name}, m", "position, m", curves)
 
 
-def _numbers(values: np.ndarray) -> list[float | None]:
+def _channels(show: Show, samples: list[int], of: str) -> list[dict[str, Any]]:
+    """Return one plot for each quantity of the channels; joint angles and commands share one."""
+    lines, dots = show.scene.channels, show.measured
+    quantities: dict[str, dict[str, Channel]] = {}
+    for name in sorted({*lines, *dots}):
+        quantity = Channel.named(name).quantity
+        channel = Channel.named(name, next(iter(QUANTITIES[quantity].suffixes)))
+        quantities.setdefault(quantity, {})[name] = channel
+    found = []
+    for quantity, channels in quantities.items():
+        unit = next(iter(QUANTITIES[quantity].suffixes.values()))
+        spread, curves = {}, {}
+        for name, channel in channels.items():
+            line, dot = (
+                channel.from_si(each[name])[samples] if name in each else None
+                for each in (lines, dots)
+            )
+            known = np.concatenate([each for each in (line, dot) if each is not None])
+            known = known[np.isfinite(known)]
+            spread[name] = float(np.ptp(known)) if len(known) else 0.0
+            curves[name] = _curve(name, line, dot)
+        most = sorted(spread, key=lambda name: -spread[name])[:_MOST_CURVES]
+        # A plot initially shows the joint or link with the largest change: its angle and command.
+        for name in curves:
+            curves[name]["chosen"] = channels[name].index == channels[most[0]].index
+        kinds = dict.fromkeys(channels[name].kind.replace("_", " ") for name in curves)
+        some = f" ({len(most)} of {len(curves)} channels)" if len(most) < len(curves) else ""
+        end = (f", {unit}" if unit else "") + some
+        shown = [curve for name, curve in curves.items() if name in most]
+        axis = quantity.replace("_", " ") + (f", {unit}" if unit else "")
+        found.append(_plot(f"{of}{' and '.join(kinds)}{end}", axis, shown))
+    return found
+
+
+def _plot(title: str, axis: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"title": title, "axis": axis, "curves": curves}
+
+
+def _curve(name: str, values: np.ndarray | None, dots: np.ndarray | None = None) -> dict[str, Any]:
+    return {"name": name, "values": _numbers(values), "dots": _numbers(dots), "chosen": True}
+
+
+def _numbers(values: np.ndarray | None) -> list[float | None]:
+    """Return values with five digits; constant values, such as those of a command, only once."""
+    if values is None:
+        return []
+    if np.all(values == values[0]):
+        values = values[:1]
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
 
 
 def beside(page: bytes, facts: dict[str, Any]) -> bytes:
     """Return a viser page with the contents besides its scene added."""
     # The name of a run must not end the script element that contains it.
-    data = json.dumps(facts).replace("<", "\\u003c")
+    data = json.dumps(facts, separators=(",", ":")).replace("<", "\\u003c")
     style, script = (
         files(__package__).joinpath(f"page.{kind}").read_text() for kind in ("css", "js")
     )

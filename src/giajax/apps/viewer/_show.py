@@ -53,6 +53,8 @@ class Show:
         notes: notes on what is not shown, with the reason.
         bands: 95 % bands of the link ends if the scene is an estimate.
         captions: start times, s, and names of the phases of the motion, in order of time.
+        measured: recorded values of other channels, SI, by channel name; NaN where a value is
+            missing.
     """
 
     name: str
@@ -61,14 +63,16 @@ class Show:
     notes: tuple[str, ...] = ()
     bands: Bands | None = None
     captions: tuple[tuple[float, str], ...] = ()
+    measured: Mapping[str, Float[np.ndarray, " sample"]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        wrong = [name for name, points in self.recorded.items() if len(points) != self.samples]
-        if wrong:
-            raise InputError(
-                f"the recorded marker '{wrong[0]}' has {len(self.recorded[wrong[0]])} samples, but "
-                f"the scene has {self.samples}: give the same number"
-            )
+        for what, given in (("marker", self.recorded), ("channel", self.measured)):
+            for name, values in given.items():
+                if len(values) != self.samples:
+                    raise InputError(
+                        f"the recorded {what} '{name}' has {len(values)} samples, but the scene "
+                        f"has {self.samples}: give the same number"
+                    )
 
     @property
     def samples(self) -> int:
@@ -195,7 +199,18 @@ def posed(run: Run, name: str) -> Show:
         model.arm, times, angles, rates, np.zeros_like(angles), np.zeros((len(times), 3))
     )
     motion = dataclasses.replace(motion, wind=wind_of(model.arm, run))
-    return Show(name, arm_scene(motion, model.sensors.marker))
+    scene = arm_scene(motion, model.sensors.marker)
+    channels = {**scene.channels, **_numeric(run)}
+    return Show(name, dataclasses.replace(scene, channels=channels))
+
+
+def _numeric(run: Run) -> dict[str, np.ndarray]:
+    """Return the channels of a run that contain numbers, SI."""
+    return {
+        name: values
+        for name, values in run.values.items()
+        if run.channels[name].quantity != "text"
+    }
 
 
 def _tracked(folder: Path, name: str) -> Show:
@@ -250,7 +265,8 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
             f"'{run.name}' is a run of the {run.model} model, which has no scene: give a run of an "
             "arm"
         )
-    recorded = recorded_markers(scene, run, predict(model, run))
+    predicted = predict(model, run)
+    recorded = recorded_markers(scene, run, predicted)
     if not all(np.all(np.isfinite(line.points)) for line in scene.lines):
         raise InputError(
             f"the motion of '{run.name}' is not finite: check the parameters of the model"
@@ -259,7 +275,22 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
         "recorded markers are not shown, because the axes of their camera differ from those "
         "of the model",
     )
-    return Show(name, scene, recorded or {}, unknown if recorded is None else ())
+    # The coordinates of recorded markers are plotted as positions.
+    plotted = {f"{marker}_{axis}" for marker in recorded or {} for axis in "xyz"}
+    others = {name: values for name, values in _numeric(run).items() if name not in plotted}
+    measured = {name: each for name, each in others.items() if run.part_of(name) == "measured"}
+    channels = {
+        **scene.channels,
+        **{each: predicted[each] for each in measured.keys() & predicted.keys()},
+        **{each: others[each] for each in others.keys() - measured.keys()},
+    }
+    return Show(
+        name,
+        dataclasses.replace(scene, channels=channels),
+        recorded or {},
+        unknown if recorded is None else (),
+        measured=measured,
+    )
 
 
 def _length(metres: float) -> str:

@@ -117,14 +117,46 @@ if (type) {
 }
 
 // ---- the plot: recorded values as dots, and a vertical line at the current time
-const COLOURS = ["#0072b2", "#d55e00", "#009e73"];
-let canvas = null, choice = null, drawn = "";
+const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#b0568f"];
+const DASHES = [["solid", []], ["dashed", [6, 3]], ["dotted", [2, 2]]];
+let canvas = null, choice = null, curves = null, drawn = "";
+// A chosen curve keeps its style, the first one that no other chosen curve has, until it is removed.
+function style(curve, chosen, plot) {
+  curve.chosen = chosen;
+  if (!chosen) { delete curve.style; return; }
+  for (curve.style = 0; plot.curves.some((one) => one !== curve && one.style === curve.style);) curve.style++;
+}
+const styled = (curve) => [COLOURS[curve.style % 4], ...DASHES[Math.floor(curve.style / 4) % 3]];
+function offer() {
+  const plot = about.plots[choice.selectedIndex];
+  curves.replaceChildren();
+  for (const curve of plot.curves) {
+    const label = element("label", {}, curves);
+    const box = element("input", { type: "checkbox", checked: curve.chosen }, label);
+    const sample = element("i", {}, label);
+    label.append(curve.name);
+    box.onchange = () => {
+      style(curve, box.checked, plot);
+      const [colour, dash] = box.checked ? styled(curve) : ["transparent", "solid"];
+      Object.assign(sample.style, { borderTopColor: colour, borderTopStyle: dash });
+      drawn = "";
+      draw();
+    };
+    box.onchange();
+  }
+  if (plot.curves.some((curve) => curve.dots.length)) element("span", { textContent: "dots: recorded" }, curves);
+  canvas.ariaLabel = `${plot.title}, versus time`;
+}
 if (about.plots.length) {
   const figure = element("figure", {}, aside);
   choice = element("select", { ariaLabel: "quantity plotted versus time" }, figure);
   about.plots.forEach((plot) => element("option", { textContent: plot.title }, choice));
   canvas = element("canvas", { role: "img" }, figure);
-  choice.onchange = () => { drawn = ""; draw(); };
+  curves = element("fieldset", { ariaLabel: "plotted curves" }, figure);
+  choice.onchange = offer;
+  offer();
+  // A key that chooses a curve must not move the camera of viser.
+  for (const kind of ["keydown", "keyup"]) aside.addEventListener(kind, (event) => event.stopPropagation());
 }
 function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
@@ -145,12 +177,12 @@ function draw() {
   pen.scale(ratio, ratio);
   pen.font = "11px system-ui, sans-serif";
   const ink = getComputedStyle(aside).color;
-  const known = plot.curves.flatMap((curve) => [...curve.values, ...(curve.dots ?? [])])
-    .filter((one) => one !== null);
-  let [low, high] = [Math.min(...known), Math.max(...known)];
+  const chosen = plot.curves.filter((curve) => curve.chosen);
+  const known = chosen.flatMap((curve) => [...curve.values, ...curve.dots]).filter((one) => one !== null);
+  let [low, high] = known.length ? [Math.min(...known), Math.max(...known)] : [0, 1];
   const room = (high - low) * 0.05 || Math.abs(high) * 0.05 || 1;
   [low, high] = [low - room, high + room];
-  const end = times.at(-1), box = { left: 44, right: width - 10, top: 16, bottom: height - 30 };
+  const end = times.at(-1), box = { left: 60, right: width - 10, top: 6, bottom: height - 30 };
   const across = (t) => box.left + (t - times[0]) / (end - times[0]) * (box.right - box.left);
   const upwards = (v) => box.bottom - (v - low) / (high - low) * (box.bottom - box.top);
   pen.strokeStyle = "#8884"; pen.fillStyle = ink; pen.textAlign = "right"; pen.textBaseline = "middle";
@@ -163,22 +195,32 @@ function draw() {
     line(across(t), box.top, across(t), box.bottom); pen.fillText(text, across(t), box.bottom + 9);
   }
   pen.fillText("time, s", (box.left + box.right) / 2, height - 7);
-  pen.textAlign = "left";
-  let name = box.left;
-  plot.curves.forEach((curve, index) => {
-    pen.strokeStyle = pen.fillStyle = COLOURS[index % 3];
-    pen.fillText(curve.name, name, 7);
-    name += pen.measureText(curve.name).width + 12;
-    (curve.dots ?? []).forEach((v, i) => { if (v !== null) pen.fillRect(across(times[i]) - 1, upwards(v) - 1, 2, 2); });
+  pen.save();
+  pen.translate(8, (box.top + box.bottom) / 2);
+  pen.rotate(-Math.PI / 2);
+  pen.fillText(plot.axis, 0, 0);
+  pen.restore();
+  // A curve of one value is constant.
+  const each = (values, use) => times.forEach((t, i) => {
+    const v = values.length > 1 ? values[i] : values[0] ?? null;
+    use(v === null ? null : [across(t), upwards(v)]);
+  });
+  for (const curve of chosen) {
+    const [colour, , dash] = styled(curve);
+    pen.strokeStyle = pen.fillStyle = colour;
+    each(curve.dots, (at) => { if (at) pen.fillRect(at[0] - 1, at[1] - 1, 2, 2); });
+    pen.setLineDash(dash);
+    pen.lineWidth = 1.5;
     pen.beginPath();
     let away = true;
-    curve.values.forEach((v, i) => {
-      if (v === null) { away = true; return; }
-      if (away) pen.moveTo(across(times[i]), upwards(v)); else pen.lineTo(across(times[i]), upwards(v));
-      away = false;
+    each(curve.values, (at) => {
+      if (at) { if (away) pen.moveTo(...at); else pen.lineTo(...at); }
+      away = !at;
     });
     pen.stroke();
-  });
+  }
+  pen.setLineDash([]);
+  pen.lineWidth = 1;
   pen.strokeStyle = ink;
   line(across(time), box.top, across(time), box.bottom);
 }
