@@ -54,6 +54,10 @@ def test_a_tracked_point_is_where_its_marker_is():
     scene = arm_scene(motion, marker)
     np.testing.assert_allclose(scene.markers["link01"][0], [1.0, 0.0, 0.1], atol=1e-9)
     np.testing.assert_allclose(scene.markers["tip"][0], [2.05, 0.0, 0.0], atol=1e-9)
+    # A command of zero is not a channel.
+    assert list(scene.channels) == ["joint01_angle"]
+    with pytest.raises(InputError, match="give all parts the same number of samples"):
+        dataclasses.replace(scene, channels={"joint01_angle": np.zeros(3)})
 
 
 @pytest.mark.slow

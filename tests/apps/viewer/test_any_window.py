@@ -1,5 +1,6 @@
 """The camera of every page with an arm shows all of the arm, and the arm fills half the window."""
 
+import dataclasses
 import itertools
 import time
 
@@ -120,6 +121,54 @@ def test_a_file_shows_all_of_the_arm(page, tmp_path):
         ".getImageData(0, 0, c.width, c.height).data.some((part) => part > 0); })()"
     )
     page.wait(inked, 120)
+    assert not page.complaints
+
+
+def press(page, key, code):
+    for kind in ("keyDown", "keyUp"):
+        names = {"key": " " if key == "Space" else key, "code": key, "windowsVirtualKeyCode": code}
+        page.call("Input.dispatchKeyEvent", type=kind, **names)
+
+
+def test_the_plotted_curves_are_chosen_by_keyboard(page, tmp_path):
+    """On a phone: joint angles and commands, of which the keys choose another curve."""
+    scene = lifted()
+    angles = {f"joint{n:02d}_angle": n * 0.01 * scene.times for n in range(1, 21)}
+    command = np.full(len(scene.times), np.deg2rad(30.0))
+    channels = {**angles, "joint01_command": command, "joint20_command": 0.1 * command}
+    show = Show("a lift", dataclasses.replace(scene, channels=channels))
+    out = tmp_path / "lift.html"
+    out.write_bytes(recording([show], dark=True))
+    resize(page, WIDTHS[1])
+    page.open(out.as_uri())
+    page.wait(READY, 120)
+    picture = "document.querySelector('#legend canvas').toDataURL()"
+    chosen = (
+        "[...document.querySelectorAll('#legend label')].filter((one) => "
+        "one.firstChild.checked).map((one) => one.textContent).join()"
+    )
+    assert page.evaluate(chosen) == "x,y,z"
+    page.evaluate("document.querySelector('#legend select').focus()")
+    press(page, "ArrowDown", 40)
+    selected = "document.querySelector('#legend select').selectedOptions[0].textContent"
+    page.wait(f"{selected} === 'joint angle and joint command, deg'")
+    assert page.evaluate(chosen) == "joint20_angle,joint20_command"
+    drawn = page.evaluate(picture)
+    press(page, "Tab", 9)
+    press(page, "Space", 32)
+    page.wait(f"{chosen} === 'joint01_angle,joint20_angle,joint20_command'")
+    assert page.evaluate(picture) != drawn
+    for _ in range(21):  # the last of the curves, which scrolls into view
+        press(page, "Tab", 9)
+    label = "document.activeElement.parentElement"
+    assert page.evaluate(f"{label}.textContent") == "joint20_command"
+    box = page.evaluate(
+        f"(() => {{ const a = {label}.getBoundingClientRect(), "
+        "b = document.querySelector('#legend fieldset').getBoundingClientRect(); "
+        "return [a.top - b.top, b.bottom - a.bottom, a.left, innerWidth - a.right]; })()"
+    )
+    assert min(box) > -2
+    assert page.evaluate("document.documentElement.scrollWidth") == WIDTHS[1]
     assert not page.complaints
 
 

@@ -1,6 +1,8 @@
 """The viewer from a user's perspective: its files, its page in a browser, and its errors."""
 
 import dataclasses
+import json
+import re
 import time
 from contextlib import nullcontext
 
@@ -25,7 +27,7 @@ from giajax.apps.viewer import (
     words,
 )
 from giajax.cli import main
-from giajax.models import ArmModel, Pinhole
+from giajax.models import ArmModel, Pinhole, Scene
 from open_ports import open_ports
 from small_arm import small_run
 
@@ -59,6 +61,64 @@ def test_a_run_is_shown_with_its_recording(run_and_show, tmp_path):
     assert found.recorded
     with pytest.raises(InputError, match=r"nothing\.csv"):
         shown(tmp_path / "nothing.csv")
+
+
+def plots_of(page):
+    """Return the plots of a page by title, with the curves by name."""
+    data = re.search(r'id="about">(.*?)</script>', page.decode(), re.DOTALL)[1]
+    return {
+        plot["title"]: {curve["name"]: curve for curve in plot["curves"]}
+        for plot in json.loads(data)["plots"]
+    }
+
+
+def test_a_page_offers_every_channel_of_a_run(tmp_path):
+    times = np.linspace(0.0, 1.0, 11)
+    values = {
+        "joint01_command": 0.5 * times,
+        "joint02_command": 0.0 * times,
+        "joint01_angle": 0.4 * times + 0.01,
+        "tip_z": times,
+        "wind_y": 2.0 + times,
+    }
+    values["joint01_angle"][3] = np.nan
+    giajax.write_run(tmp_path / "run.csv", times, values, definition={"arm": {"links": 2}})
+    show = shown(tmp_path / "run.csv")
+    plots = plots_of(recording([show]))
+    titles = list(plots)
+    assert titles[:3] == ["position of tip, m", "joint angle and joint command, deg", "wind, m/s"]
+    assert "position of link01, m" in titles[3:]
+    assert plots["position of tip, m"]["z"]["dots"] == pytest.approx(times, abs=1e-4)
+    angles = plots["joint angle and joint command, deg"]
+    assert list(angles) == ["joint01_angle", "joint01_command", "joint02_angle", "joint02_command"]
+    assert [name for name in angles if angles[name]["chosen"]] == list(angles)[:2]
+    assert angles["joint01_command"]["values"] == pytest.approx(np.rad2deg(0.5 * times), rel=1e-4)
+    # A constant command is stored once.
+    assert angles["joint02_command"]["values"] == [0.0]
+    assert angles["joint01_angle"]["dots"][3] is None
+    assert angles["joint01_angle"]["dots"][10] == pytest.approx(np.rad2deg(0.41), rel=1e-4)
+    simulated = show.scene.channels["joint02_angle"]
+    assert angles["joint02_angle"]["values"] == pytest.approx(np.rad2deg(simulated), rel=1e-4)
+    assert angles["joint02_angle"]["dots"] == []
+    assert plots["wind, m/s"]["wind_y"]["values"] == pytest.approx(2.0 + times, rel=1e-4)
+    assert plots["wind, m/s"]["wind_y"]["dots"] == []
+
+
+def test_plots_of_a_long_motion_of_many_joints_are_small(show):
+    """Joint angles are thinned like all curves, and those that vary the most are offered."""
+    count, joints = 4000, 100
+    scene = show.scene
+    points = np.zeros((count, 2, 3)) + scene.lines[0].points[0]
+    line = dataclasses.replace(scene.lines[0], points=points)
+    times = np.linspace(0.0, 400.0, count)
+    channels = {f"joint{n:02d}_angle": n * np.sin(times) for n in range(1, joints + 1)}
+    long = Scene((line,), {"tip": points[:, 1]}, times)
+    size = len(json.dumps(plots_of(recording([Show("long", long)]))))
+    plots = plots_of(recording([Show("long", dataclasses.replace(long, channels=channels))]))
+    curves = plots["joint angle, deg (60 of 100 channels)"]
+    assert list(curves) == [f"joint{n:02d}_angle" for n in range(41, 101)]
+    assert {len(curve["values"]) for curve in curves.values()} == {300}
+    assert len(json.dumps(plots)) - size < 60 * 3_500
 
 
 def test_an_arm_is_posed_by_hand(tmp_path):

@@ -191,7 +191,8 @@ def _channels(show: Show, samples: list[int], of: str) -> list[dict[str, Any]]:
         kinds = dict.fromkeys(channels[name].kind.replace("_", " ") for name in curves)
         some = f" ({len(most)} of {len(curves)} channels)" if len(most) < len(curves) else ""
         end = (f", {unit}" if unit else "") + some
-        shown = [curve for name, curve in curves.items() if name in most]
+        most.sort(key=lambda name: (channels[name].index or 0, name))
+        shown = [curves[name] for name in most]
         axis = quantity.replace("_", " ") + (f", {unit}" if unit else "")
         found.append(_plot(f"{of}{' and '.join(kinds)}{end}", axis, shown))
     return found

@@ -207,9 +207,7 @@ def posed(run: Run, name: str) -> Show:
 def _numeric(run: Run) -> dict[str, np.ndarray]:
     """Return the channels of a run that contain numbers, SI."""
     return {
-        name: values
-        for name, values in run.values.items()
-        if run.channels[name].quantity != "text"
+        name: values for name, values in run.values.items() if run.channels[name].quantity != "text"
     }
 
 

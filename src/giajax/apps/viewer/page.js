@@ -117,32 +117,33 @@ if (type) {
 }
 
 // ---- the plot: recorded values as dots, and a vertical line at the current time
-const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#b0568f"];
+const COLOURS = about.dark ? ["#56b4e9", "#f08a4b", "#2fbf95", "#d78fc0"] : ["#0072b2", "#d55e00", "#009e73", "#b0568f"];
 const DASHES = [["solid", []], ["dashed", [6, 3]], ["dotted", [2, 2]]];
 let canvas = null, choice = null, curves = null, drawn = "";
 // A chosen curve keeps its style, the first one that no other chosen curve has, until it is removed.
-function style(curve, chosen, plot) {
-  curve.chosen = chosen;
-  if (!chosen) { delete curve.style; return; }
-  for (curve.style = 0; plot.curves.some((one) => one !== curve && one.style === curve.style);) curve.style++;
+function free(plot) {
+  for (let style = 0; ; style++) if (plot.curves.every((one) => one.style !== style)) return style;
 }
-const styled = (curve) => [COLOURS[curve.style % 4], ...DASHES[Math.floor(curve.style / 4) % 3]];
+const styled = ({ style }) => [COLOURS[style % 4], ...DASHES[Math.floor(style / 4) % 3]];
+const redraw = () => { drawn = ""; draw(); };
 function offer() {
   const plot = about.plots[choice.selectedIndex];
   curves.replaceChildren();
+  const longest = Math.max(...plot.curves.map((curve) => curve.name.length));
+  curves.style.gridTemplateColumns = `repeat(auto-fill, calc(42px + ${longest}ch))`;
   for (const curve of plot.curves) {
     const label = element("label", {}, curves);
     const box = element("input", { type: "checkbox", checked: curve.chosen }, label);
     const sample = element("i", {}, label);
     label.append(curve.name);
-    box.onchange = () => {
-      style(curve, box.checked, plot);
+    const choose = () => {
+      curve.chosen = box.checked;
+      curve.style = box.checked ? curve.style ?? free(plot) : undefined;
       const [colour, dash] = box.checked ? styled(curve) : ["transparent", "solid"];
       Object.assign(sample.style, { borderTopColor: colour, borderTopStyle: dash });
-      drawn = "";
-      draw();
     };
-    box.onchange();
+    choose();
+    box.onchange = () => { choose(); redraw(); };
   }
   if (plot.curves.some((curve) => curve.dots.length)) element("span", { textContent: "dots: recorded" }, curves);
   canvas.ariaLabel = `${plot.title}, versus time`;
@@ -153,10 +154,8 @@ if (about.plots.length) {
   about.plots.forEach((plot) => element("option", { textContent: plot.title }, choice));
   canvas = element("canvas", { role: "img" }, figure);
   curves = element("fieldset", { ariaLabel: "plotted curves" }, figure);
-  choice.onchange = offer;
+  choice.onchange = () => { offer(); redraw(); };
   offer();
-  // A key that chooses a curve must not move the camera of viser.
-  for (const kind of ["keydown", "keyup"]) aside.addEventListener(kind, (event) => event.stopPropagation());
 }
 function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
