@@ -145,13 +145,14 @@ function offer() {
     choose();
     box.onchange = () => { choose(); redraw(); };
   }
-  if (plot.curves.some((curve) => curve.dots.length)) element("span", { textContent: "dots: recorded" }, curves);
+  choice.nextSibling.textContent = plot.curves.some((curve) => curve.dots.length) ? "dots: recorded" : "";
   canvas.ariaLabel = `${plot.title}, versus time`;
 }
 if (about.plots.length) {
   const figure = element("figure", {}, aside);
   choice = element("select", { ariaLabel: "quantity plotted versus time" }, figure);
   about.plots.forEach((plot) => element("option", { textContent: plot.title }, choice));
+  element("span", {}, figure);
   canvas = element("canvas", { role: "img" }, figure);
   curves = element("fieldset", { ariaLabel: "plotted curves" }, figure);
   choice.onchange = () => { offer(); redraw(); };
