@@ -31,7 +31,7 @@ def test_a_page_says_first_what_it_may_do():
         == PAGE
     )
     assert b"script-src 'none';" in with_policy(b"<head><style></style></head>")
-    with pytest.raises(AssertionError, match="for the policy to precede"):
+    with pytest.raises(AssertionError, match="that the policy could precede"):
         with_policy(b"<p>nowhere to put it</p>")
 
 

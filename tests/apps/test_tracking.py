@@ -345,7 +345,9 @@ def test_what_cannot_be_tracked_is_refused(model):
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_run_bands_a_page_and_says_what_is_wrong(model, tmp_path, capsys):
+def test_the_command_writes_a_run_bands_a_page_and_says_what_is_wrong(
+    model, tmp_path, capsys, request
+):
     run, *_ = recorded(model.arm, late=0.2)
     arm = {
         "model": "arm",
@@ -381,6 +383,8 @@ def test_the_command_writes_a_run_bands_a_page_and_says_what_is_wrong(model, tmp
     assert page.count("data:image/png") == 1
     assert main(given) == 2
     assert "--force" in capsys.readouterr().err
+    # Last, because the test is skipped here if there is no browser.
+    assert browse.opened(out, request.getfixturevalue("browser")) == []
 
 
 STIFFNESS = "joints.pitch_stiffness"

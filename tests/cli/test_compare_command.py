@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.machinery import browse
 from giajax import Prior
 from giajax.cli import main
 from giajax.fitting import load_result, set_up
@@ -132,6 +133,15 @@ def test_what_agrees_is_good_and_nothing_in_common_is_not(folder, tmp_path, caps
     parsed = Page(page.read_bytes())
     assert ("section", "verdict doubtful") in [(tag, of.get("class")) for tag, of in parsed.tags]
     assert "so nothing is compared" in parsed.text
+
+
+def test_pages_in_a_browser(folder, browser, tmp_path):
+    """What differs, what agrees, and results with nothing in common."""
+    joint = Path(__file__).resolve().parents[1] / "earlier" / "joint"
+    for name, other in (("a", folder / "held"), ("b", folder / "free"), ("c", joint)):
+        out = ["--page", str(tmp_path / f"{name}.html"), "--quiet"]
+        assert main(["compare", str(folder / "free"), str(other), *out]) == 0
+    assert browse.opened(tmp_path, browser) == []
 
 
 def test_one_result_has_nothing_to_be_compared_with(folder, capsys):

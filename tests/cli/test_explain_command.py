@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from test_fit_command import giajax
 
+from docs.machinery import browse
 from giajax import load_result, read_run, write_run
 from giajax.apps.synthetic import synthesise
 from giajax.mechanics.arm import takeichi_20m
@@ -51,6 +52,10 @@ def test_steps_parameters_files_and_a_page(explained):
     status, _, _ = giajax("predict", folder, "--data", folder.parent / "muscle.csv")
     assert status == 0
     assert all(load_result(path) for path in (folder / "fits").glob("*.json"))
+
+
+def test_the_page_in_a_browser(explained, browser):
+    assert browse.opened(explained[0], browser) == []
 
 
 def test_a_journal_that_was_cut_off_goes_on_to_the_same(explained, tmp_path):

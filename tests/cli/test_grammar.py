@@ -74,7 +74,7 @@ def test_no_option_means_two_things():
 SHARED = {
     "--arm": "toml file with",  # which of its sections the command reads
     "--channels": "channel",  # named to be recorded or to be used
-    "--command": "from this run",  # what is taken from it beside the commands
+    "--command": "run",  # what is taken from it beside the commands
     "--data": "run",  # what is done with it
     "--duration": "duration of the",  # of a run, or of the command for one
     "--free": "parameter",  # fitted instead of others, or also

@@ -4,8 +4,10 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from arm_in_window import check_file
 from giajax.cli import main
 from giajax.recordings import read_run
 
@@ -13,7 +15,7 @@ MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
 
 
 @pytest.mark.slow
-def test_it_writes_what_it_says(tmp_path, capsys):
+def test_it_writes_what_it_says(tmp_path, capsys, request):
     out = tmp_path / "out"
     words = ["life", str(MISSION), "--out", str(out), "--set", "hand.speed=0.2"]
     assert main(words) == 0
@@ -39,6 +41,12 @@ def test_it_writes_what_it_says(tmp_path, capsys):
     assert " life " in run.definition.origin
     assert main(words) == 2
     assert "--force" in capsys.readouterr().err
+    # The arm is unrolled away from the building, raised, and flown. This comes last, because the
+    # test is skipped here if there is no browser.
+    seen = [[0.0, 0.0, 0.0], [-20.0, 0.0, 0.0], [0.0, 0.0, 20.0]]
+    tips = np.stack([run.values[f"tip_{axis}"] for axis in "xyz"], axis=1)
+    points = np.concatenate([seen, tips[::100]])
+    check_file(request.getfixturevalue("browser"), tmp_path / "profile", out / "life.html", points)
 
 
 @pytest.mark.parametrize(

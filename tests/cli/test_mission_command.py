@@ -3,8 +3,10 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from arm_in_window import check_file
 from giajax.cli import main
 from giajax.recordings import read_run
 from giajax.schema import ArmSection
@@ -24,7 +26,7 @@ def blind(folder):
 
 
 @pytest.mark.slow
-def test_a_mission_and_many(tmp_path, capsys):
+def test_a_mission_and_many(tmp_path, capsys, request):
     file, out, page = blind(tmp_path), tmp_path / "out", tmp_path / "page.html"
     words = ["mission", str(file), "--seed", "3", "--out", str(out)]
     assert main([*words, "--page", str(page), "--case", "2"]) == 0
@@ -55,6 +57,11 @@ def test_a_mission_and_many(tmp_path, capsys):
     assert [row["wind_m_per_s"] for row in rows] == [0.0, 0.2]
     assert (many / "cases.csv").read_text(encoding="utf-8").count("\n") == 3
     assert (many / "cases.png").read_bytes().startswith(b"\x89PNG")
+    # Last, because the test is skipped here if there is no browser.
+    tips = np.stack([run.values[f"tip_{axis}"] for axis in "xyz"], axis=1)
+    points = np.concatenate([np.zeros((1, 3)), tips[::20]])
+    browser = request.getfixturevalue("browser")
+    check_file(browser, tmp_path / "profile", page, points, upright=True)
 
 
 @pytest.mark.quick

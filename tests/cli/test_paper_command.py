@@ -85,6 +85,12 @@ def test_all_goes_on_where_it_was_stopped(tmp_path, capsys, made):
     assert made[len(NAMES) + 2 :] == list(NAMES)
 
 
+def test_the_page_in_a_browser(tmp_path, made, browser):
+    words = ["paper", "all", "--out", str(tmp_path), "--quiet"]
+    assert [main(words) for _ in range(2)] == [130, 0]
+    assert browse.opened(tmp_path, browser) == []
+
+
 @pytest.mark.slow
 def test_it_prints_and_writes(tmp_path, capsys):
     folder = tmp_path / "new"

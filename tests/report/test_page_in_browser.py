@@ -13,6 +13,7 @@ from giajax.report import report_page
 from page_reader import Page
 
 FITS = Path(__file__).parents[2] / "fits"
+EARLIER = Path(__file__).parents[1] / "earlier" / "written" / "beside"
 # All studies of a fit, with fewer draws than by default.
 STUDIES = {
     "suspects": [],
@@ -35,6 +36,14 @@ def test_a_page_is_drawn_and_what_is_not_is_told(result, run, browser, tmp_path)
     assert [line for line in told if "does not draw" in line] == [
         f"/broken.html does not draw {place} at {width} px" for width in browse.WIDTHS
     ]
+
+
+def test_a_page_with_every_study_of_an_earlier_fit(browser, tmp_path):
+    page = tmp_path / "report.html"
+    assert main(["report", str(EARLIER / "fit"), "--page", str(page), "--quiet"]) == 0
+    studies = {"profiles", "suspects", "repetitions", "influence", "posterior"}
+    assert studies <= set(Page(page.read_bytes()).headings)
+    assert browse.opened(tmp_path, browser) == []
 
 
 @pytest.mark.long

@@ -7,23 +7,13 @@ import time
 import numpy as np
 import pytest
 
+from arm_in_window import READY, check, check_file, resize
 from browsing import opened
+from docs.machinery.browse import WIDTHS
 from giajax.apps.driving import Cockpit, Session, TipCamera
 from giajax.apps.viewer import Posable, Show, Viewer, brick, edges, outline, recording
 from giajax.mechanics.arm import takeichi_20m
-from giajax.models import ArmModel, Line, Scene
-
-WIDTHS = (1400, 390)
-
-CAMERA = """(() => {
-  const frame = document.getElementById("view"), page = frame ? frame.contentWindow : window;
-  const viewer = page.__viserMutable, camera = viewer.camera;
-  const box = viewer.canvas.getBoundingClientRect();
-  camera.updateMatrixWorld();
-  const left = frame ? frame.getBoundingClientRect().left : 0;
-  return {world: camera.matrixWorldInverse.elements, lens: camera.projectionMatrix.elements,
-    left: left + box.left, width: box.width, height: box.height, window: innerWidth};
-})()"""
+from giajax.models import ArmModel, Block, Line, Scene
 
 
 def lifted(count=9):
@@ -42,41 +32,14 @@ def lifted(count=9):
     return Scene(tuple(lines), {"tip": lines[-1].points[:, 1]}, 0.1 * np.arange(count))
 
 
-def projected(page, points):
-    """Return the positions of points (m) in the window, px from the left, and if all are inside."""
-    seen = page.evaluate(CAMERA)
-    world, lens = (np.reshape(seen[name], (4, 4)).T for name in ("world", "lens"))
-    # The scene of viser is drawn with y upwards, and rotated accordingly.
-    turned = np.stack([-points[:, 1], points[:, 2], -points[:, 0], np.ones(len(points))])
-    x, y, _, w = lens @ world @ turned
-    inside = (w > 0) & (np.abs(x) < w) & (np.abs(y) < w)
-    return seen["left"] + (x / w + 1) / 2 * seen["width"], bool(np.all(inside)), seen["window"]
-
-
-def resize(page, width):
-    """Set the size of the window; a low resolution, because it is rendered in software."""
-    size = {"width": width, "height": 700, "deviceScaleFactor": 0.25, "mobile": False}
-    page.call("Emulation.setDeviceMetricsOverride", **size)
-
-
-def check(page, points, seconds=180.0):
-    """Check both widths in turn, which includes resizing the window."""
-    for width in (*WIDTHS, WIDTHS[0]):
-        resize(page, width)
-        end = time.monotonic() + seconds
-        while True:
-            # The initial camera of viser may arrive late, and the page fits its camera again.
-            across, inside, window = projected(page, points)
-            share = np.ptp(across) / window
-            if (inside and window == width and share > 0.5) or time.monotonic() > end:
-                break
-            time.sleep(0.1)
-        assert inside, f"a part of the arm is outside of a window of {width} px"
-        assert window == width
-        assert share > 0.5, f"the arm fills {share:.0%} of a window of {width} px"
-
-
-READY = "window.__viserMutable?.cameraControl && document.getElementById('legend') !== null"
+def beside_a_building(tilt, bend):
+    """Return the scene of an arm of 20 links beside a wall; angles from upright by sample, deg."""
+    turned = np.deg2rad(np.add.outer(tilt, np.zeros(20)) + np.outer(bend, np.linspace(0, 1, 20)))
+    steps = np.stack([np.sin(turned), np.zeros_like(turned), np.cos(turned)], axis=-1)
+    ends = np.concatenate([np.zeros((len(tilt), 1, 3)), np.cumsum(steps, axis=1)], axis=1)
+    lines = [Line("link", ends[:, k : k + 2], np.array([0.15, 0.15])) for k in range(20)]
+    front = Block("front", np.array([10.1, 0.0, 3.15]), np.array([0.2, 8.0, 8.3]), np.eye(3))
+    return Scene(tuple(lines), {"tip": ends[:, -1]}, 10.0 * np.arange(len(tilt)), (), (front,))
 
 
 def ends_of(scene):
@@ -104,6 +67,7 @@ def page(browser, tmp_path):
 
 def test_a_file_shows_all_of_the_arm(page, tmp_path):
     """The page is that of `giajax view --page`, `mission --page` and `life`."""
+    page.draw_no_scene()
     out = tmp_path / "lift.html"
     scene = lifted()
     seen = {"tip": scene.markers["tip"] + 0.1}
@@ -139,6 +103,7 @@ def test_the_plotted_curves_are_chosen_by_keyboard(page, tmp_path):
     show = Show("a lift", dataclasses.replace(scene, channels=channels))
     out = tmp_path / "lift.html"
     out.write_bytes(recording([show], dark=True))
+    page.draw_no_scene()
     resize(page, WIDTHS[1])
     page.open(out.as_uri())
     page.wait(READY, 120)
@@ -178,6 +143,20 @@ def test_the_plotted_curves_are_chosen_by_keyboard(page, tmp_path):
     assert min(box) > -2
     assert page.evaluate("document.documentElement.scrollWidth") == WIDTHS[1]
     assert not page.complaints
+
+
+@pytest.mark.parametrize(
+    ("tilt", "bend", "upright"),
+    [
+        pytest.param([0.0, 0.0, 0.0], [0.0, 60.0, 130.0], True, id="mission"),
+        pytest.param([-90.0, -45.0, 0.0, 0.0], [0.0, 0.0, 0.0, 130.0], False, id="life"),
+    ],
+)
+def test_an_arm_beside_a_building(tilt, bend, upright, browser, tmp_path):
+    scene = beside_a_building(tilt, bend)
+    file = tmp_path / "page.html"
+    file.write_bytes(recording([Show("arm", scene)]))
+    check_file(browser, tmp_path / "profile", file, ends_of(scene), upright=upright)
 
 
 def test_edges_of_a_wall_are_those_of_the_whole():
@@ -241,6 +220,7 @@ def test_a_video_of_the_scene_is_saved(page, tmp_path):
 def test_a_live_page_shows_all_of_the_arm(page):
     viewer = Viewer([Posable(ArmModel(takeichi_20m(4)), "arm")])
     try:
+        page.draw_no_scene()
         page.open(viewer.address)
         page.wait(READY, 120)
         check(page, ends_of(viewer.shows[0].scene))
@@ -255,14 +235,26 @@ def test_a_live_page_shows_all_of_the_arm(page):
         viewer.close()
 
 
+# What a user can read in a page: its texts, the values of its inputs and its title.
+READ = """[document.title, document.body.innerText, ...[...document.querySelectorAll("input")]
+  .filter((one) => one.offsetWidth).map((one) => one.value)].join()"""
+
+
 def test_the_page_of_a_drive_shows_all_of_the_arm(page):
+    """Its token can only be read in the address bar, in the path by which the page is reloaded."""
     model = ArmModel(takeichi_20m(4))
     cockpit = Cockpit(Session(model), TipCamera(model))
     try:
+        page.draw_no_scene()
         page.open(cockpit.address)
-        within = READY.replace("window.", "document.getElementById('view').contentWindow.")
-        page.wait(within.replace("document.getElementById('legend')", "document.body"), 120)
+        scene = "document.getElementById('view').contentWindow"
+        page.wait(f"{scene}.eval({READY!r})", 120)
         check(page, ends_of(cockpit._scene(cockpit.session.pose)))
+        token = cockpit.address.split("/")[3]
+        assert page.evaluate("location.href") == cockpit.address
+        for each in (READ, READ.replace("document", f"{scene}.document")):
+            assert "arm" in page.evaluate(each)
+            assert token not in page.evaluate(each)
         assert not page.complaints
     finally:
         cockpit.close()

@@ -58,6 +58,15 @@ document.addEventListener("wheel", (event) => { if (event.target.localName === "
 // Called by an enclosing page when its arm reaches new positions.
 window.showAll = (more) => { points = more; fit(); };
 
+// ---- the panel of viser, which is at the bottom of a narrow window and covers the arm: collapsed
+const HANDLE = '[style*="width: 20em"] [style*="cursor: pointer"][style*="height: 3.5em"]', collapsed = new WeakSet();
+setInterval(() => {
+  const handle = document.querySelector(HANDLE);
+  if (!handle || collapsed.has(handle)) return;
+  collapsed.add(handle);
+  handle.click();
+}, 100);
+
 // ---- the legend
 const element = (tag, attributes, parent) => {
   const one = Object.assign(document.createElement(tag), attributes);
