@@ -28,8 +28,8 @@ def resize(page, width):
     page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
-# Whether the scene is the topmost element at each place (-1 to 1 across and upwards), apart from the
-# notice of viser that the scene is rendered in software.
+# Whether the scene is the topmost element at each place (-1 to 1 across and upwards), apart from
+# the notice of viser that the scene is rendered in software.
 TOPMOST = """((places) => {
   const frame = document.getElementById("view"), page = frame ? frame.contentWindow : window;
   const scene = page.__viserMutable.canvas, box = scene.getBoundingClientRect();

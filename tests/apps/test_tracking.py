@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import giajax
+from docs.machinery import browse
 from giajax import InputError, Run, replace
 from giajax.apps.tracking import (
     BAND,

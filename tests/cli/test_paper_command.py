@@ -5,6 +5,7 @@ import json
 import pytest
 
 import giajax.apps.paper
+from docs.machinery import browse
 from giajax.apps.paper import FIGURES, Reproduced, Sources
 from giajax.cli import main
 from giajax.report import new_figure
