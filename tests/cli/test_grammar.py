@@ -88,7 +88,7 @@ SHARED = {
     "--seed": "seed of",  # what is random
     "--strict": "exit with status 3 if",  # what fails
     "--to": "output file",  # its kind
-    "--travel": "travel over which the branch changes",  # its unit
+    "--travel": "over which the branch changes",  # its unit
     "--truth": "true angles",  # what is compared with them
     "--wind": "mean wind velocity (m/s)",  # known, or the initial value of an estimate
 }
