@@ -331,7 +331,7 @@ their original paths. The suspect with the largest decrease in chi-square comes 
 repeats this as long as BIC decreases. For a long arm, a ladder step can take several
 minutes. It takes less time with --tries 1, which fits only the first suspect.""",
     group="trust",
-    out="Output folder for suspects.json, which contains the result and its suspects.",
+    out="Output folder for suspects.json, which contains the result and the suspects.",
     as_json=True,
     old={
         "--held-out": "--validation",

@@ -141,7 +141,9 @@ def _show(table: "pl.DataFrame", columns: list[str]) -> None:
     if len(table) > _ROWS:
         print(f"... and {len(table) - _ROWS} more fits")
     if len(values) > len(paths):
-        print(f"... and {len(values) - len(paths)} values of single runs, which are in the file")
+        print(
+            f"... and {len(values) - len(paths)} values of individual runs, which are in the file"
+        )
     failed = table.filter(table["status"] == "failed")["message"].unique(maintain_order=True)
     for message in failed.head(3):
         print(f"failed: {message}")

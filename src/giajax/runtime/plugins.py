@@ -235,8 +235,8 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
     for name, found in here.items():
         if lost and found.startswith(SUM) and found not in versions.values():
             raise InputError(
-                f"the fit was made with {lost[0][0]}, but here {name} defines its class: give "
-                "the former version, or fit again"
+                f"the fit was made with {lost[0][0]}, but its class is now defined by {name}: "
+                "restore the former version, or fit again"
             )
 
 
