@@ -148,6 +148,8 @@ def _chromium(browser: str, *arguments: str) -> subprocess.CompletedProcess[str]
 def opened(site: Path, browser: str) -> list[str]:
     """Open all pages in a browser, and return the defects."""
     pages = sorted(f"/{path.relative_to(site)}" for path in site.rglob("*.html"))
+    if not pages:
+        return [f"there is no page in {site}"]
     # Virtual time, which passes immediately while the browser is idle.
     budget = 10_000 * len(pages) * len(WIDTHS)
     with _server(site, pages) as address:

@@ -106,7 +106,10 @@ def test_an_array_is_off_as_a_whole_or_element_by_element(recorded):
         ({"camera.delay": -0.1}, r"'camera.delay' is not a standard deviation"),
         ({"camera.delay": "late"}, r"'camera.delay' is not a standard deviation"),
         ({"links.mass": 0.1, "links.mass[1]": 0.2}, "give a list for all"),
-        ({"joints.friction": 0.01}, "omits: give the value of joints.friction, too"),
+        (
+            {"joints.friction": 0.01},
+            "not part of this model: give the value of joints.friction, too",
+        ),
         ({"defaults": "no"}, "must be true or false"),
     ],
 )

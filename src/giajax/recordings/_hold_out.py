@@ -153,7 +153,7 @@ def _last(runs: Sequence[Run], share: float) -> list[dict[str, int]]:
     rows = []
     for run in runs:
         if run.times is None:
-            count = len(next(iter(run.observations.values())))
+            count = len(next(iter(run.values.values())))
             first = count - round(share * count)
         else:
             start, end = ends[run.path or id(run)]

@@ -60,8 +60,8 @@ def check_loops(runs: Sequence[Run]) -> None:
         count = max(np.sum(~np.isnan(values)) for values in run.observations.values())
         if count < _LEAST:
             raise InputError(
-                f"'{run.name}' has a part of {count} measured values, too few to fit or to "
-                "validate on: hold out another part, or give a longer run"
+                f"'{run.name}' has a part of {count} measured values to fit or to validate on, but "
+                f"at least {_LEAST} are required: hold out another part, or give a longer run"
             )
 
 
@@ -240,13 +240,14 @@ def choose_hysteresis(
         runs: hysteresis runs to be fitted.
         held_out: further runs for validation. Without any, the last part of each run is held out:
             the model receives the whole input, but only the earlier output is fitted.
-        fraction: fraction of each run that is held out if no further run is given, between 0 and 1.
+        fraction: fraction of the duration of each run that is held out if no further run is given,
+            between 0 and 1.
         candidates: names in `CANDIDATES`; defaults to all.
         progress: function that is called with each name before the model is fitted.
 
     Raises:
-        InputError: a name is unknown; no name is given; a part has too few values; or a run is
-            not a hysteresis run.
+        InputError: a name is unknown; no name is given; the fraction is not between 0 and 1; a part
+            has too few values; or a run is not a hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
     unknown = [name for name in names if name not in CANDIDATES]
@@ -257,6 +258,8 @@ def choose_hysteresis(
         raise InputError(
             "only hysteresis models can be compared: give runs of the hysteresis model"
         )
+    if not 0 < fraction < 1:
+        raise InputError(f"fraction is {fraction:g}: give a number between 0 and 1")
     for run in (*runs, *held_out):
         run.require_observations()
     fitted, judged = runs, held_out

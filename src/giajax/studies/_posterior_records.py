@@ -240,8 +240,9 @@ def doubts(
     hats = {label: one.r_hat or 0.0 for label, one in known.items()}
     worst = max(hats, key=lambda label: hats[label], default="")
     if worst and hats[worst] > MOST_R_HAT:
+        above = math.ceil(hats[worst] * 1e3) / 1e3
         sentences.append(
-            f"the chains have not converged, because R-hat of {worst} is {hats[worst]:.4f}, which "
+            f"the chains have not converged, because R-hat of {worst} is {above:.3f}, which "
             f"is above {MOST_R_HAT:g}: use more draws and a longer warm-up"
         )
     sizes = {name: min(one.ess_bulk or 0.0, one.ess_tail or 0.0) for name, one in known.items()}

@@ -235,6 +235,26 @@ def test_a_live_page_shows_all_of_the_arm(page):
         viewer.close()
 
 
+def test_the_panel_of_a_narrow_live_page_opens_and_its_time_is_plotted(page):
+    viewer = Viewer([Show("a lift", lifted())])
+    try:
+        page.draw_no_scene()
+        resize(page, WIDTHS[1])
+        page.open(viewer.address)
+        page.wait(READY, 120)
+        page.wait("document.querySelector('.collapsed') !== null", 120)
+        page.evaluate("window.panel = document.querySelector('.collapsed'), 0")
+        height = "panel.getBoundingClientRect().height"
+        closed = page.evaluate(height)
+        # The line in the plot is at the time of this slider.
+        page.wait("document.querySelector('[role=slider]')?.ariaValueNow === '0'")
+        page.evaluate("panel.querySelector('[style*=\"height: 3.5em\"]').click()")
+        page.wait(f"{height} > {3 * closed}")
+        assert not page.complaints
+    finally:
+        viewer.close()
+
+
 # What a user can read in a page: its texts, the values of its inputs and its title.
 READ = """[document.title, document.body.innerText, ...[...document.querySelectorAll("input")]
   .filter((one) => one.offsetWidth).map((one) => one.value)].join()"""

@@ -306,14 +306,7 @@ def life_show(life: Life) -> Show:
         Line("link", place[:, k], np.full(2, radii[k]), swelling=swelling[:, k])
         for k in range(arm.count)
     )
-    # The arm has joint angles only during the mission.
-    assert flown.times is not None
-    begin = next(each.begin for each in life.phases if each.name == "mission")
-    channels = {
-        name: np.interp(clock, begin + flown.times, values, left=np.nan, right=np.nan)
-        for name, values in flown.channels.items()
-    }
-    scene = Scene(lines, {"tip": place[:, -1, 1]}, clock, (), flown.blocks, channels)
+    scene = Scene(lines, {"tip": place[:, -1, 1]}, clock, (), flown.blocks)
     captions = tuple((each.begin, each.name) for each in life.phases)
     return dataclasses.replace(Show("life", scene), captions=captions)
 

@@ -55,7 +55,7 @@ class KeptLast:
     """Cache the last values and derivatives of a function; optimisers request each separately."""
 
     def __init__(self, look: Looked) -> None:
-        self._look, self._last = look, b""
+        self._look, self._last = look, None
 
     def __call__(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if (raw := np.asarray(unknown, dtype=float).tobytes()) != self._last:

@@ -157,7 +157,9 @@ def _plots(shows: Sequence[Show], times: np.ndarray) -> list[dict[str, Any]]:
 def _position(show: Show, name: str, samples: list[int], of: str) -> dict[str, Any]:
     points, recorded = show.scene.markers[name], show.recorded.get(name)
     curves = [
-        _curve(axis, points[samples, k], None if recorded is None else recorded[samples, k])
+        _curve(
+            axis, points[samples, k], None if recorded is None else _seen(recorded[:, k], samples)
+        )
         for k, axis in enumerate("xyz")
     ]
     return _plot(f"{of}position of {name}, m", "position, m", curves)
@@ -176,10 +178,8 @@ def _channels(show: Show, samples: list[int], of: str) -> list[dict[str, Any]]:
         unit = next(iter(QUANTITIES[quantity].suffixes.values()))
         spread, curves = {}, {}
         for name, channel in channels.items():
-            line, dot = (
-                channel.from_si(each[name])[samples] if name in each else None
-                for each in (lines, dots)
-            )
+            line = channel.from_si(lines[name])[samples] if name in lines else None
+            dot = _seen(channel.from_si(dots[name]), samples) if name in dots else None
             known = np.concatenate([each for each in (line, dot) if each is not None])
             known = known[np.isfinite(known)]
             spread[name] = float(np.ptp(known)) if len(known) else 0.0
@@ -196,6 +196,15 @@ def _channels(show: Show, samples: list[int], of: str) -> list[dict[str, Any]]:
         axis = quantity.replace("_", " ") + (f", {unit}" if unit else "")
         found.append(_plot(f"{of}{' and '.join(kinds)}{end}", axis, shown))
     return found
+
+
+def _seen(values: np.ndarray, samples: list[int]) -> np.ndarray:
+    """Return the last recorded value of a channel since the previous of the samples, or NaN.
+
+    The rows between samples are not plotted, and a slow sensor may have its values only there.
+    """
+    rows = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))[samples]
+    return np.where(rows > np.array([-1, *samples[:-1]]), values[rows], np.nan)
 
 
 def _plot(title: str, axis: str, curves: list[dict[str, Any]]) -> dict[str, Any]:

@@ -273,9 +273,15 @@ def _followed(model: AbstractModel, run: Run, name: str) -> Show:
         "recorded markers are not shown, because the axes of their camera differ from those "
         "of the model",
     )
-    # The coordinates of recorded markers are plotted as positions.
+    # The coordinates of recorded markers are plotted as positions. The samples of a scene of
+    # another model may differ from those of its run.
     plotted = {f"{marker}_{axis}" for marker in recorded or {} for axis in "xyz"}
-    others = {name: values for name, values in _numeric(run).items() if name not in plotted}
+    count = len(scene.lines[0].points)
+    others = {
+        name: values
+        for name, values in _numeric(run).items()
+        if name not in plotted and len(values) == count
+    }
     measured = {name: each for name, each in others.items() if run.part_of(name) == "measured"}
     channels = {
         **scene.channels,

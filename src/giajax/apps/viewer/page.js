@@ -54,18 +54,26 @@ document.addEventListener("keydown", (event) => {
   const control = event.target.closest?.("input, select, button, [role=slider]");
   if (!control && /^(Key[WASDQE]|Arrow)/.test(event.code)) moved = true;
 });
-document.addEventListener("wheel", (event) => { if (event.target.localName === "canvas") moved = true; });
+document.addEventListener("wheel", (event) => {
+  if (event.target.localName === "canvas" && !aside.contains(event.target)) moved = true;
+});
 // Called by an enclosing page when its arm reaches new positions.
 window.showAll = (more) => { points = more; fit(); };
 
 // ---- the panel of viser, which is at the bottom of a narrow window and covers the arm: collapsed
+// By its style, because viser removes what it collapses itself: the time bar, which the plot reads.
 const HANDLE = '[style*="width: 20em"] [style*="cursor: pointer"][style*="height: 3.5em"]', collapsed = new WeakSet();
-setInterval(() => {
+function collapse() {
   const handle = document.querySelector(HANDLE);
   if (!handle || collapsed.has(handle)) return;
   collapsed.add(handle);
-  handle.click();
-}, 100);
+  const panel = handle.closest('[style*="width: 20em"]');
+  panel.classList.add("collapsed");
+  handle.addEventListener("click", (event) => {
+    event.stopPropagation();
+    panel.classList.toggle("collapsed");
+  }, true);
+}
 
 // ---- the legend
 const element = (tag, attributes, parent) => {
@@ -241,6 +249,6 @@ const hide = () => document.querySelectorAll("input").forEach((input) => {
 addEventListener("DOMContentLoaded", () => {
   document.title = about.title;
   document.body.append(aside);
-  setInterval(() => { fit(); draw(); hide(); }, 100);
+  setInterval(() => { fit(); draw(); hide(); collapse(); }, 100);
 });
 })();
