@@ -99,7 +99,7 @@ def test_bad_questions_are_refused():
         choose_hysteresis([run], candidates=[])
     with pytest.raises(InputError, match="between 0 and 1"):
         choose_hysteresis([run], fraction=1.0)
-    with pytest.raises(InputError, match="too few to fit or to validate on"):
+    with pytest.raises(InputError, match="but at least 8 are required"):
         choose_hysteresis([run], fraction=0.01)
     arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
     with pytest.raises(InputError, match="runs of the hysteresis model"):

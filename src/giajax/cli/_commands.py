@@ -350,7 +350,7 @@ class Translation:
             f"note: {old} is now {now}; the old form works until {OLD_FORMS_END}"
             for old, now in map(forms.__getitem__, self._found)
         ]
-        if {"--quiet"} & {*self._given, *self._found}:
+        if "--quiet" in self._given:
             self.notes = []
 
     def _argument(self, word: str, words: list[str]) -> None:

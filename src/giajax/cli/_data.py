@@ -38,8 +38,8 @@ Examples:
 
 \b
 Notes on implausible units, signs, labels and constants, and on missing values
-and glitches, precede the other notes. The checks are based on the magnitude of
-the values. No file is changed.
+and glitches, precede the other notes. The checks are based on the magnitude
+of the values. No file is changed.
 Exit status: 0 success; 2 bad input or usage; 3 with --strict, if a value is
 implausible.""",
     group="first",
