@@ -437,7 +437,7 @@ class Astray(Memory):
             "Astray.travelled does not match the integral of Astray.rate over a short path at",
         ),
         (Shapeless(), r"Shapeless.torque returns the shape \(\) for 4 joints: return \(4,\)"),
-        (Coupled(), "Coupled.torque depends on another joint at .*: compute each value from the"),
+        (Coupled(), "Coupled.torque depends on another joint at .*: compute each value from angle"),
         (Tethered(), "Tethered.torque depends on another joint at"),
         (Shared(), "Shared.unstrained depends on another joint at"),
         (Called(), "Called.rows is a method: give the number of states"),

@@ -284,5 +284,5 @@ def test_bad_muscles_are_refused():
     with pytest.raises(InputError, match="jump at 0"):
         takeichi_20m(2, muscles="all", pair=JointPair())
     printed = JointPair(Joint(correction=Correction(reading="printed", blend=0.1)))
-    with pytest.raises(InputError, match="as printed"):
+    with pytest.raises(InputError, match="printed in the paper"):
         takeichi_20m(2, muscles="all", pair=printed)
