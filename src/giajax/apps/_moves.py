@@ -4,6 +4,7 @@ import dataclasses
 import functools
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -131,8 +132,17 @@ def _pulled(arm: Arm, angles: Array, command: Array) -> Array:
     return acceleration(arm, angles, jnp.zeros_like(angles), command, pressures=pressures)
 
 
+@eqx.filter_jit  # A motion needs two poses, and the function is then traced once.
 def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
-    """Return the angles at which an arm rests (rad), and the size of the last Newton step."""
+    """Return the angles at which an arm rests (rad), and the size of the last Newton step.
+
+    The angles can be differentiated in forward mode; the derivative of the step is zero.
+    """
+    return _resting(arm, command)
+
+
+@eqx.filter_custom_jvp
+def _resting(arm: Arm, command: Array) -> tuple[Array, Array]:
 
     def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
         angles, _ = carried
@@ -142,6 +152,21 @@ def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
 
     begun = (command, jnp.asarray(jnp.inf, command.dtype))
     return jax.lax.fori_loop(0, _NEWTON, better, begun)
+
+
+@_resting.def_jvp
+def _resting_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Any, Any]:
+    """Differentiate by the implicit function theorem instead of through the iterations.
+
+    Tracing the derivative of the loop takes several times as long as tracing the simulation.
+    """
+    arm, command = primals
+    angles, off = _resting(arm, command)
+    slope = jax.jacfwd(lambda q: _pulled(arm, q, command))(angles)
+    _, pulled = eqx.filter_jvp(
+        lambda arm, command: _pulled(arm, angles, command), primals, tangents
+    )
+    return (angles, off), (-jnp.linalg.solve(slope, pulled), jnp.zeros_like(off))
 
 
 @program
