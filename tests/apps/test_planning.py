@@ -250,7 +250,7 @@ def test_the_paper_s_arm_goes_through_the_opening():
     del stated["arm"]["parameters"]  # joints without hysteresis
     mission = Mission.from_definition(Definition.parse(stated))
     model, opening = mission.model, mission.opening
-    target = Through("housetop", approach=np.asarray(mission.operator.approach))
+    target = Through("housetop", approach=np.asarray(mission.controller.approach))
     found = plan_command(model, target, knots=8, draw_count=0)
     local = np.asarray(opening.local(jnp.asarray(found.planned.tips)))
     ended = found.planned.times >= found.planned.command.times[-1]
