@@ -55,7 +55,8 @@ class KeptLast:
     """Cache the last values and derivatives of a function; optimisers request each separately."""
 
     def __init__(self, look: Looked) -> None:
-        self._look, self._last = look, None
+        self._look = look
+        self._last: bytes | None = None
 
     def __call__(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if (raw := np.asarray(unknown, dtype=float).tobytes()) != self._last:
