@@ -258,7 +258,7 @@ def test_what_is_not_determined_has_no_ratio():
     assert f"the base step cannot determine {DRAG}" in repr(half)
     assert design_rows(half) == [(DRAG, "1.2", "0.10", "not determined", "-", "-", "-")]
     later = dataclasses.replace(half, before={DRAG: 0.0312}, base_step=known)
-    assert design_rows(later) == [(DRAG, "1.200", "0.10", "0.10", "1.00", "0.031", "-")]
+    assert design_rows(later) == [(DRAG, "1.200", "0.10", "0.10", "1.0", "0.031", "-")]
     stored = json.loads(design_json(Design(**common, designed=unknown, base_step=unknown)))
     assert stored["ratio"] is stored["design"]["criterion"] is stored["draws"]["largest"] is None
     whole = Design(**common, designed=known, base_step=dataclasses.replace(known, criterion=0.2))

@@ -41,7 +41,7 @@ def design_rows(found: Design) -> list[tuple[str, ...]]:
             for error in both
         ]
         shown, before = format_estimate(value, found.before.get(path))
-        rows.append((path, shown, *expected, format_number(ratio, ".2g"), before, unit or "-"))
+        rows.append((path, shown, *expected, format_number(ratio, "#.2g"), before, unit or "-"))
     return rows
 
 
