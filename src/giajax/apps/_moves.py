@@ -143,7 +143,6 @@ def resting(arm: Arm, command: Array) -> tuple[Array, Array]:
 
 @eqx.filter_custom_jvp
 def _resting(arm: Arm, command: Array) -> tuple[Array, Array]:
-
     def better(_: Any, carried: tuple[Array, Array]) -> tuple[Array, Array]:
         angles, _ = carried
         slope = jax.jacfwd(lambda q: _pulled(arm, q, command))(angles)
