@@ -147,7 +147,7 @@ def test_bad_input_is_one_sentence(fitted, loops, tmp_path, capsys):
     short = tmp_path / "short.csv"
     short.write_text("time_s,command_deg,angle_deg\n0,0,0\n1,9,5\n2,0,3\n")
     refused(capsys, ["fit", "--data", str(short)], "3 measured values cannot determine")
-    refused(capsys, ["choose", "--data", str(short)], "too few to fit or to validate on")
+    refused(capsys, ["choose", "--data", str(short)], "measured values to fit or to validate on")
     rising = tmp_path / "rising.csv"
     rows = [f"{k},{k},{k}" for k in range(40)]
     rising.write_text("\n".join(["time_s,command_deg,angle_deg", *rows]) + "\n")
