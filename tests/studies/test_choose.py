@@ -98,9 +98,9 @@ def test_bad_questions_are_refused():
     with pytest.raises(InputError, match="unknown candidate: choose from play"):
         choose_hysteresis([run], candidates=[])
     with pytest.raises(InputError, match="between 0 and 1"):
-        choose_hysteresis([run], fraction=1.0)
+        choose_hysteresis([run], hold_out=["last:1"])
     with pytest.raises(InputError, match="but at least 8 are required"):
-        choose_hysteresis([run], fraction=0.01)
+        choose_hysteresis([run], hold_out=["last:0.01"])
     arm = Run.from_arrays([0.0, 1.0], {"tip_z": [0.0, 0.1]}, definition={"free_motion": True})
     with pytest.raises(InputError, match="runs of the hysteresis model"):
         choose_hysteresis([arm])

@@ -141,21 +141,17 @@ def choose(
 
     Each model is first fitted to the remaining loops.
     """
-    from ..recordings import hold_out as split, parse_rename, read_run
+    from ..recordings import parse_rename, read_run
 
     renamed = parse_rename(rename or [])
     runs = [read_run(path, rename=renamed) for path in data]
     others = [read_run(path, rename=renamed) for path in validation or []]
-    if hold_out:
-        parts = split(runs, hold_out)
-        runs = [part.fitted for part in parts if part.fitted is not None]
-        others += [part.held for part in parts if part.held is not None]
     configure()
     from ..studies import choose_hysteresis
 
     watched = sys.stderr.isatty() and not no_progress
     say = (lambda name: typer.echo(f"fitting {name} ...", err=True)) if watched else None
-    choice = choose_hysteresis(runs, others, candidates=operator, progress=say)
+    choice = choose_hysteresis(runs, others, hold_out=hold_out, candidates=operator, progress=say)
     ended = [one for one in choice.candidates if one.converged] or choice.candidates
     least_aic, least_bic = min(one.aic for one in ended), min(one.bic for one in ended)
     keys = ("model", "parameters", "held_out_rmse", "rmse", "delta_aic", "delta_bic", "status")

@@ -38,7 +38,7 @@ from ..noise import (
     satterthwaite,
     tail,
 )
-from ..recordings import FitSettings, Run, SplitRun, hold_out
+from ..recordings import FitSettings, Run, SplitRun, fitted_parts, hold_out
 from ..runtime.arrays import Bool, Float
 from ..runtime.text import InputError
 from ._configuration import Setup, WarmStart, between, set_up
@@ -132,7 +132,7 @@ def set_up_with_hold_out(
         InputError: as in `giajax.fit`, or `hold_out` selects nothing or everything.
     """
     parts = hold_out(runs, settings.hold_out)
-    fitted = [part.fitted for part in parts if part.fitted is not None]
+    fitted = fitted_parts(parts)
     for model in dict.fromkeys(run.model for run in runs):
         if fitted and not any(run.model == model for run in fitted):
             raise InputError(

@@ -42,7 +42,13 @@ from ._formats import (
     Sheet as Sheet,
     read_foreign as read_foreign,
 )
-from ._hold_out import SplitRun as SplitRun, hold_out as hold_out, split_run as split_run
+from ._hold_out import (
+    SplitRun as SplitRun,
+    fitted_parts as fitted_parts,
+    held_parts as held_parts,
+    hold_out as hold_out,
+    split_run as split_run,
+)
 from ._mistakes import Mistake as Mistake, mistakes as mistakes, point_of as point_of
 from ._plausible import oddities as oddities
 from ._plausible_columns import Oddity as Oddity

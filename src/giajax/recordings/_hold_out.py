@@ -5,7 +5,7 @@
 
 import dataclasses
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -72,6 +72,16 @@ def hold_out(runs: Sequence[Run], names: Sequence[str]) -> tuple[SplitRun, ...]:
             "to fit: hold out less data"
         )
     return tuple(parts)
+
+
+def fitted_parts(parts: Iterable[SplitRun]) -> list[Run]:
+    """Return the fitted parts of runs, without runs that are held out entirely."""
+    return [part.fitted for part in parts if part.fitted is not None]
+
+
+def held_parts(parts: Iterable[SplitRun]) -> list[Run]:
+    """Return the held-out parts of runs, without runs that are fitted entirely."""
+    return [part.held for part in parts if part.held is not None]
 
 
 def split_run(run: Run, held_from: Mapping[str, int]) -> SplitRun:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fitting import FitResult, PredictionErrors, errors_of, fit, prediction_errors
 from ..models import AbstractModel, HysteresisModel, as_stated, hysteresis_keys, model_for
-from ..recordings import Definition, Run, hold_out
+from ..recordings import Definition, Run, fitted_parts, held_parts, hold_out as split
 from ..runtime.text import InputError
 from ..schema import HysteresisSection
 from ..schema.parameters import default_free
@@ -230,7 +230,7 @@ def choose_hysteresis(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    fraction: float = 0.3,
+    hold_out: Sequence[str] | None = None,
     candidates: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
@@ -238,16 +238,16 @@ def choose_hysteresis(
 
     Arguments:
         runs: hysteresis runs to be fitted.
-        held_out: further runs for validation. Without any, the last part of each run is held out:
-            the model receives the whole input, but only the earlier output is fitted.
-        fraction: fraction of the duration of each run that is held out if no further run is given,
-            between 0 and 1.
+        held_out: further runs for validation.
+        hold_out: what is held out of the runs, as in `giajax.recordings.hold_out`: the model
+            receives the whole input, but only the remaining output is fitted. Defaults to the last
+            30 % of each run, or to nothing if further runs are given.
         candidates: names in `CANDIDATES`; defaults to all.
         progress: function that is called with each name before the model is fitted.
 
     Raises:
-        InputError: a name is unknown; no name is given; the fraction is not between 0 and 1; a part
-            has too few values; or a run is not a hysteresis run.
+        InputError: a name is unknown; no name is given; what is held out does not exist, or is
+            all; a part has too few values; or a run is not a hysteresis run.
     """
     names = list(CANDIDATES) if candidates is None else list(candidates)
     unknown = [name for name in names if name not in CANDIDATES]
@@ -258,15 +258,12 @@ def choose_hysteresis(
         raise InputError(
             "only hysteresis models can be compared: give runs of the hysteresis model"
         )
-    if not 0 < fraction < 1:
-        raise InputError(f"fraction is {fraction:g}: give a number between 0 and 1")
     for run in (*runs, *held_out):
         run.require_observations()
-    fitted, judged = runs, held_out
-    if not held_out:
-        parts = hold_out(runs, [f"last:{fraction:f}"])
-        fitted = [part.fitted for part in parts if part.fitted is not None]
-        judged = [part.held for part in parts if part.held is not None]
+    if hold_out is None:
+        hold_out = () if held_out else ("last:0.3",)
+    parts = split(runs, hold_out)
+    fitted, judged = fitted_parts(parts), [*held_out, *held_parts(parts)]
     check_loops([*fitted, *judged])
     tried = []
     for name in names:

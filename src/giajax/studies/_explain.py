@@ -26,6 +26,8 @@ from ..models import capabilities
 from ..recordings import (
     FitSettings,
     Run,
+    fitted_parts,
+    held_parts,
     hold_out,
     make_folder,
     read_run,
@@ -463,14 +465,14 @@ def _without_last(
         parts = hold_out(whole, ["last"])
     except InputError:
         return whole, result
-    fitted = [part.fitted for part in parts if part.fitted is not None]
+    fitted = fitted_parts(parts)
     if len(fitted) < len(parts):
         return whole, result
     several = [
         {**about, "held_from": {**about.get("held_from", {}), **part.held_from}}
         for part, about in zip(parts, result.config.get("runs", [{}] * len(parts)), strict=True)
     ]
-    apart += [part.held for part in parts if part.held is not None]
+    apart += held_parts(parts)
     return fitted, dataclasses.replace(result, config={**result.config, "runs": several})
 
 

@@ -28,7 +28,7 @@ from ..fitting import (
     versions,
 )
 from ..models import model_for
-from ..recordings import Definition, Run, read_run
+from ..recordings import Definition, Run, held_parts, read_run
 from ..runtime.plugins import check_sources, sources_of
 from ..runtime.text import InputError
 from ..studies import (
@@ -76,8 +76,7 @@ class Preparation:
     @property
     def held_out_runs(self) -> tuple[Run, ...]:
         """Runs that contain only the held-out cells."""
-        parts = () if self.held_out is None else self.held_out.parts
-        return tuple(part.held for part in parts if part.held is not None)
+        return tuple(held_parts(() if self.held_out is None else self.held_out.parts))
 
     @functools.cached_property
     def odd(self) -> tuple[Finding, ...]:

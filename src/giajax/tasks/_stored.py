@@ -11,6 +11,8 @@ from ..recordings import (
     Definition,
     Run,
     SplitRun,
+    fitted_parts,
+    held_parts,
     observing,
     read_run,
     rows_of,
@@ -177,8 +179,7 @@ def fitted_runs(
     Raises:
         InputError: a file is missing or has changed, or a run was created in memory.
     """
-    parts = _read_again(result, result.runs, "runs", data, rename, folder)
-    return [run for part in parts if (run := part.fitted) is not None]
+    return fitted_parts(_read_again(result, result.runs, "runs", data, rename, folder))
 
 
 def held_out_runs(
@@ -192,8 +193,7 @@ def held_out_runs(
 
     The arguments are those of `fitted_runs`.
     """
-    parts = _read_again(result, result.held_out, "hold_out", data, rename, folder)
-    return [run for part in parts if (run := part.held) is not None]
+    return held_parts(_read_again(result, result.held_out, "hold_out", data, rename, folder))
 
 
 def _read_again(
