@@ -118,7 +118,7 @@ def check_style(tree, paths):
         assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_kind_of_model_is_two_files_and_a_line(tree, giajax):
     text = section("To add a kind of model")
     new, edited = done_to(tree, text)
@@ -146,7 +146,7 @@ def heights(path):
         return [float(row["link02_z_m"]) for row in csv.DictReader(file)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_parameter_is_its_declaration_and_what_computes_with_it(tree, giajax):
     text = section("To add a parameter")
     new, edited = done_to(tree, text)

@@ -61,8 +61,8 @@ def test_each_example_is_one_file_of_at_most_60_lines_that_asserts():
         assert "assert" in text
 
 
-# These two take minutes and run only before a release. The others test the same functions.
-LONG = ("hardening_joint", "fullness_drag")
+# These take minutes and run only before a release. The others test the same functions.
+LONG = ("hardening_joint", "fullness_drag", "strain_gauge", "wind_profile", "cauchy_loss")
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def test_it_states_the_truth_and_starts_away_from_it(path):
 # The other definitions together, or a test of a shorter arm, check the same as these.
 LONG = {
     "independent_friction", "two_runs", "independent_pitch_yaw", "independent_wind",
-    "joint_memory", "pitch_yaw", "camera_frame",
+    "joint_memory", "pitch_yaw", "camera_frame", "whole_arm", "full_air", "pixels_side",
 }  # fmt: skip
 REACHING = [
     pytest.param(path, marks=pytest.mark.long if path.stem in LONG else pytest.mark.slow)

@@ -106,7 +106,7 @@ def test_it_moves_as_in_mujoco_and_comes_out_the_same(name, tmp_path):
             np.testing.assert_allclose(found, known, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_arm_of_the_paper_moves_as_in_mujoco_with_its_air(tmp_path):
     arm = giajax.takeichi_20m(20, gravity=9.80665, buoyancy=True, trim=True, drag="strip")
     arm = giajax.schema.parameters.replace(arm, {"joints.damping": 0.3})

@@ -49,12 +49,11 @@ def asked(run):
     return giajax.suspects(result, run)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "truth",
     [
-        {"camera.lens_k1": -0.05},
-        {"joints.drive_saturation": 0.3},
+        pytest.param({"camera.lens_k1": -0.05}, marks=pytest.mark.long),
+        pytest.param({"joints.drive_saturation": 0.3}, marks=pytest.mark.slow),
     ],
     ids=lambda truth: next(iter(truth)),
 )
@@ -147,7 +146,7 @@ class NothingAsked(Fits):
         return None
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_that_seemed_to_be_weak_alone_stands_for_all_that_are():
     """All drives reach 90 %, so the first freed gain is tied to all; if one is weak, it is not."""
     one = Suspect("joints.drive_gain[0]", "parameter", "", 1.0, 0.9, 0.01, 99.0, 1, 1e-9, True)
@@ -239,7 +238,7 @@ def test_what_joints_remember_at_the_first_row_is_the_first_suspect():
     assert first.estimate == pytest.approx(0.7, abs=0.4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_points_that_a_camera_exchanged_or_lost_are_named():
     run, rows = recorded({}), slice(12, 30)
 
@@ -284,9 +283,8 @@ def test_what_an_arm_may_have_more_is_a_choice(name):
     assert row.chi_square_drop > 0.5 * found.promising[0].chi_square_drop
 
 
-@pytest.mark.parametrize(
-    "parameters_alone", [pytest.param(True, marks=SLOW), pytest.param(False, marks=LONG)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("parameters_alone", [True, False])
 def test_lift_that_is_lost_in_a_run_is_named(parameters_alone):
     """This includes a comparison with choices, each of which is a program."""
     model = arm(trim=True, gravity=9.81)
@@ -306,7 +304,8 @@ def test_a_right_arm_is_not_accused():
     assert len(named) <= 1
 
 
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=SLOW), pytest.param(10, marks=LONG)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [0, 10])
 def test_noise_with_a_memory_is_no_point_that_was_taken_for_another(seed, monkeypatch):
     """If the noise were white, these data would suggest that one link shows another's marker."""
     # The choices are separate programs that do not matter for points.

@@ -361,7 +361,7 @@ def test_a_fit_from_an_end_is_sooner_there():
     assert again.iterations < first.iterations
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_initial_states_of_runs_are_begun_from_by_name(tmp_path):
     """Windows of a run, each with its own initial state, in another order and with a new one."""
     channels = ("link02_y", "link02_z", "link04_y", "link04_z")

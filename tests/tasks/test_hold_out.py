@@ -201,7 +201,7 @@ def stiff_run(folder, name, **changed):
     return write_run(path, times, {**commands, **values}, definition=definition)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_an_arm_lacks_shows_where_it_was_not_fitted(tmp_path):
     """The joints have friction, which the first half of the run does not reveal.
 

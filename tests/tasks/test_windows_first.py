@@ -32,7 +32,7 @@ def recording(tmp_path_factory):
 FREE, START = ["links.centre_of_mass"], {"links.centre_of_mass": 0.9}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_frequency_that_is_far_off_is_found(recording, tmp_path, capsys):
     # Without windows, the frequency is also found, starting with the first rows.
     task = FitTask.of(recording).on_top(free=FREE, start=START)

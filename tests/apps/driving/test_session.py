@@ -305,7 +305,7 @@ def test_rows_that_a_full_disk_does_not_take_are_written_later(model, tmp_path, 
     np.testing.assert_array_equal(read_run(path).times, session.record.times)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_gives_the_arm_back():
     """A fit to a camera recording of the drive finds the true drag and stiffness."""
     truth = {"air.drag_coefficient": 1.3, "joints.pitch_stiffness": 4.0, "joints.damping": 0.5}

@@ -200,7 +200,7 @@ def recording(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, monkeypatch, capsys):
     monkeypatch.chdir(recording)
     words = ["mission", "mission.toml", "--from-recording", "resting.csv", "--cases", "24"]

@@ -45,7 +45,7 @@ def flown():
     return mission().fly(1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tip_comes_in(flown):
     """In the paper's air and time, and through the frame, not through the wall."""
     assert flown.reached is not None
@@ -64,7 +64,7 @@ def test_the_tip_comes_in(flown):
     assert rates.max() <= np.deg2rad(2.0) * (1 + 1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_run_of_a_mission_is_its_motion(flown):
     """The adaptive simulation of the commands in the recorded wind gives the same tip path."""
     run = recorded(mission(), flown, name="run")
@@ -73,7 +73,7 @@ def test_the_run_of_a_mission_is_its_motion(flown):
     assert np.linalg.norm(gap, axis=0).max() < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_nobody_tells_the_operator(flown):
     """Without pictures, the commands depend neither on the wind nor on the stiffness."""
     planned = blind()

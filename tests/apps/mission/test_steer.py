@@ -90,8 +90,9 @@ def test_a_plan_goes_where_a_simulation_of_it_goes():
     assert np.linalg.norm(slope @ found.rates[-1]) < 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("late", [0, 3])
+@pytest.mark.parametrize(
+    "late", [pytest.param(0, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.long)]
+)
 def test_without_a_picture_the_estimate_is_the_simulated_state(late):
     """Each command is applied in its own interval from the start on, however late pictures are."""
     mission = small_mission()
@@ -203,7 +204,7 @@ def test_the_tip_is_held_before_the_opening():
     assert "in front of the opening to within" in mission_figure(held, outcome).get_suptitle()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_estimate_that_is_no_number_stops_all_commands():
     mission = small_mission()
     steering = mission.controller

@@ -161,7 +161,7 @@ def test_directions_are_told():
     assert cells["arm: C_D"] == "0.5*"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_cells_are_those_of_simulations():
     """Compare with the public simulation, another solver, and NumPy's concordance."""
     values = {name: np.sqrt(u.lower * u.upper) * u.unit for name, u in UNKNOWNS.items()}
