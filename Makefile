@@ -23,7 +23,7 @@ help:
 	@echo
 	@echo "make check          run lint, types and the tests that compile nothing, within a minute"
 	@echo "make test-slow      run the slow tests, which 'make test' omits"
-	@echo "make test-all       run 'make test' and 'make test-slow'"
+	@echo "make test-all       run the tests of both in one session"
 	@echo "make test-long      run the tests that repeat studies and benchmarks, before a release"
 	@echo "make test-lowest    run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-python    run the tests with another Python: make test-python PYTHON=python3.13"
@@ -75,9 +75,9 @@ test-slow: $(VENV)/.installed-dev
 test-long: $(VENV)/.installed-dev
 	$(PYTEST) -m long $(PYTEST_ARGS)
 
-# The slow tests run even if other tests fail, and only once.
+# In one session, because the slow tests of a file use what its other tests have compiled.
 test-all: $(VENV)/.installed-dev
-	@$(MAKE) --no-print-directory --keep-going test test-slow
+	$(PYTEST) -m "not long" $(PYTEST_ARGS)
 
 # Each uses its own environment. The static checks run only with the newest versions.
 test-lowest:

@@ -166,8 +166,9 @@ RUN_BY = {"slow": "make test-all", "long": "make test-long"}
 
 
 def pytest_deselected(items):
-    """Count the tests that `make test` omits; `pytest -k` and `make check` omit more."""
-    if not items or (config := items[0].config).option.markexpr != "not slow and not long":
+    """Count the tests that `make test` and `make test-all` omit; other selections omit more."""
+    tiers = ("not slow and not long", "not long")
+    if not items or (config := items[0].config).option.markexpr not in tiers:
         return
     counts = config.stash.setdefault(LEFT_OUT, dict.fromkeys(RUN_BY, 0))
     for mark in RUN_BY:

@@ -75,7 +75,7 @@ def run(*command, cwd):
     return ended.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wheel_in_a_clean_environment_runs_the_demonstration(tmp_path):
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     download = [*pip, "download", "--no-deps", "--dest", tmp_path / "index", "hatchling"]

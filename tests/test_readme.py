@@ -29,8 +29,17 @@ def python(name):
 
 
 COMPILE_NOTHING = {"assumed.md", "own_recording.md", "parameters.md", "sweep.md"}
+# These take minutes.
+LONG = {"unrolling.md", "film.md", "giajax.apps.planning._plan", "giajax.apps.shaping"}
+
+
+def tier(name):
+    """Return the mark of the test of a page or module."""
+    return pytest.mark.long if name in LONG else pytest.mark.slow
+
+
 SHOWN = [
-    pytest.param(name, marks=() if name in COMPILE_NOTHING else pytest.mark.slow)
+    pytest.param(name, marks=() if name in COMPILE_NOTHING else tier(name))
     for name in PAGES
     if name not in ELSEWHERE and python(name)
 ]
@@ -67,9 +76,12 @@ def test_the_files_that_pages_show_are_legal():
             giajax.Definition.parse(tomllib.loads(block), name)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("page", "folder", "truth"), [("own_arm.md", "mine", 1.3), ("film.md", "tube", 1.15)]
+    ("page", "folder", "truth"),
+    [
+        pytest.param(page, folder, truth, marks=tier(page))
+        for page, folder, truth in (("own_arm.md", "mine", 1.3), ("film.md", "tube", 1.15))
+    ],
 )
 def test_the_files_and_commands_of_a_page_run(page, folder, truth, tmp_path, monkeypatch, capsys):
     """Blocks that start with a name are files; the fit must find the simulated C_D."""
@@ -121,8 +133,7 @@ def modules():
     return [module.name for module in found if not module.name.endswith("__main__")]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", modules())
+@pytest.mark.parametrize("name", [pytest.param(name, marks=tier(name)) for name in modules()])
 def test_the_examples_of_docstrings_run(name):
     results = doctest.testmod(importlib.import_module(name), raise_on_error=False)
     assert results.failed == 0

@@ -181,7 +181,7 @@ def beside(arm, *things):
     return dataclasses.replace(arm, contact=Contact(things))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_link_is_bent_to_keep_clear_of_what_the_direct_way_is_too_near():
     """The straight arm passes a box at a distance of 0.1 m."""
     begin, pose = np.deg2rad([[-20.0, 0.0, 0.0], [20.0, 0.0, 0.0]])
@@ -336,7 +336,7 @@ def test_a_plan_is_written_as_a_run_that_the_arm_follows(tmp_path, monkeypatch, 
     assert "is not overwritten" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fit_gives_bands_and_its_values_to_the_command(tmp_path, monkeypatch, capsys):
     """The drives have a lag; the rehearsal uses only the written command and its sidecar."""
     monkeypatch.chdir(tmp_path)

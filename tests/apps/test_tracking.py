@@ -522,7 +522,7 @@ def test_a_run_that_cannot_be_followed_is_tried_with_more_unmodelled_torque(stil
         track(model, run)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_command_follows_a_run_that_is_being_recorded(still_arm, tmp_path, capsys, monkeypatch):
     run = leaking(still_arm, at=20.0, lasts=40.0)
     stated = giajax.ArmModel(still_arm).definition()["arm"]

@@ -125,7 +125,7 @@ def test_known_winds_are_found_again(found):
     assert all(abs(one.misfit[0] - 1) < 0.2 for one in found)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_response_is_that_of_the_simulation_to_a_small_wave():
     record = resting(MODEL, recording(0), skip=20.0)
     here, _, _ = WindModel(MODEL, record, use_mean=False).about(first_guess(MEAN, 1e-5, 2.0, 12.0))

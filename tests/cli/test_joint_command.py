@@ -24,7 +24,7 @@ def written(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_neck_of_the_help_is_drawn_and_one_that_muscles_crush_is_refused(tmp_path, capsys):
     assert main(["joint", "--out", str(tmp_path), "--set", "neck.radius=0.045"]) == 0
     found = rows(tmp_path / "equilibria.csv")

@@ -88,8 +88,13 @@ def plain(tmp_path_factory):
     return numbers(home / "out")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow),
+    ],
+)
 def test_a_signal_writes_the_best_so_far(folder, plain, number, status):
     running = process(*FIT, seconds=0.5)
     wait_for(running, "5")

@@ -121,7 +121,7 @@ def test_every_hint_of_every_command_works(world, capsys, monkeypatch):
     assert {each[0] for each in typed} >= {"fit", "check", "init"}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_studies_of_windows_work_where_the_recording_has_moved(world, capsys, tmp_path):
     """Each window has its own state, and the files are in the folder of the result."""
     sidecar = world / "the run.toml"
