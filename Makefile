@@ -24,7 +24,7 @@ help:
 	@echo "make check          run lint, types and the tests that compile nothing, within a minute"
 	@echo "make test-slow      run the slow tests, which 'make test' omits"
 	@echo "make test-all       run the tests of both in one session"
-	@echo "make test-long      run the tests that repeat studies and benchmarks, before a release"
+	@echo "make test-long      run the longest tests, such as studies and missions, before a release"
 	@echo "make test-lowest    run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make test-python    run the tests with another Python: make test-python PYTHON=python3.13"
 	@echo "make evidence NAME  run a long study and write to docs/evidence; without NAME, list the studies"

@@ -30,7 +30,10 @@ def python(name):
 
 COMPILE_NOTHING = {"assumed.md", "own_recording.md", "parameters.md", "sweep.md"}
 # These take minutes.
-LONG = {"unrolling.md", "film.md", "giajax.apps.planning._plan", "giajax.apps.shaping"}
+LONG = {
+    *("unrolling.md", "film.md", "own_arm.md"),
+    *("giajax.apps.planning._plan", "giajax.apps.shaping"),
+}
 
 
 def tier(name):

@@ -56,7 +56,7 @@ DRAWN = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_commands_of_the_gallery_draw_their_pictures(tmp_path, capsys):
     found = dict(pictures.drawn(DRAWN, tmp_path))
     assert list(found) == DRAWN

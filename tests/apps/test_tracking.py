@@ -146,6 +146,7 @@ def test_a_step_is_that_of_the_simulation_and_its_derivatives_are_differences(fu
     np.testing.assert_allclose(shown(state)[0][:3], there.tip[-1], atol=1e-4)
 
 
+@pytest.mark.long
 def test_the_states_of_a_late_camera_are_known_as_well_as_is_said(model):
     run, times, true, tip = recorded(model.arm, late=0.5)
     late = replace(model, {"camera.delay": 0.5})
@@ -172,6 +173,7 @@ def test_the_states_of_a_late_camera_are_known_as_well_as_is_said(model):
     assert np.sqrt(np.mean((tip[known[there]] - found.now.tip[there])[20:] ** 2)) < 0.02
 
 
+@pytest.mark.long
 def test_a_wind_that_is_missing_is_called_and_one_that_is_tracked_is_found(model):
     wind = giajax.simulation.constant([0.0, 0.3, 0.0])
     run, *_ = recorded(model.arm, wind=wind, lasts=40.0)
@@ -478,6 +480,7 @@ def test_a_slow_arm_is_learnt_from_at_a_hundred_rows_a_second(still_arm):
     assert found.smoothed.parameter_deviations[STIFFNESS][-1] < 0.7 * value
 
 
+@pytest.mark.long
 def test_an_estimate_without_process_noise_is_that_of_a_fit(still_arm):
     drag = "air.drag_coefficient"
     run = leaking(still_arm, left=1.0)

@@ -14,7 +14,7 @@ from giajax.recordings import read_run
 MISSION = Path(__file__).resolve().parents[2] / "missions" / "naraha.toml"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_it_writes_what_it_says(tmp_path, capsys, request):
     out = tmp_path / "out"
     words = ["life", str(MISSION), "--out", str(out), "--set", "hand.speed=0.2"]

@@ -214,7 +214,7 @@ def test_what_is_driven_has_outliers_or_does_not_swing_begins_with_all_rows(tmp_
 
 
 # Twenty initial guesses in one valley. The test above uses one from each end.
-LONG = ("drag", "friction")
+LONG = ("drag", "friction", "inertia")
 ANY = [
     pytest.param(valley, marks=pytest.mark.long if valley in LONG else pytest.mark.slow)
     for valley in VALLEYS

@@ -157,7 +157,7 @@ def bent_run(measured=None, **changes):
     return Run.from_arrays(times, values, definition={"arm": section}, **changes)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fit_finds_the_neck_of_an_arm():
     """Other initial guesses of radius, length and damping; muscles must not crush the neck."""
     blank, noise = bent_run(), float(np.deg2rad(0.5))

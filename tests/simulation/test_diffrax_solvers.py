@@ -74,8 +74,13 @@ def test_an_object_is_the_word():
         assert giajax.simulation.solver(named) == giajax.simulation.solver(known) == known
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("mode", "derivative"), [("forward", jax.jacfwd), ("reverse", jax.jacrev)])
+@pytest.mark.parametrize(
+    ("mode", "derivative"),
+    [
+        pytest.param("forward", jax.jacfwd, marks=pytest.mark.slow),
+        pytest.param("reverse", jax.jacrev, marks=pytest.mark.long),
+    ],
+)
 def test_derivatives_follow_from_the_mode(mode, derivative):
     def end(damping, solver):
         arm = giajax.replace(ARM, {"joints.damping": damping})
@@ -138,8 +143,10 @@ def test_settings_and_a_stepper_refuse_what_a_fit_or_a_motion_would():
         giajax.simulation.Stepper(ARM, 0.1, solver=diffrax.Euler(), tolerance=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", ["memory", "stops"])
+@pytest.mark.parametrize(
+    "law",
+    [pytest.param("memory", marks=pytest.mark.long), pytest.param("stops", marks=pytest.mark.slow)],
+)
 def test_what_remembers_moves_by_a_method_without_an_error(law):
     strength = 0.1 if law == "memory" else [0.1]
     hysteresis = {f"joints.{law}.strength": strength, f"joints.{law}.yield_angle": 0.05}

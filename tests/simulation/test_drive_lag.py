@@ -37,9 +37,13 @@ def followed(times, values, lag):
     return np.stack(rows)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("solver", "options"), [("tsit5", {}), ("springs5", {}), ("springs5", {"muscles": "pitch"})]
+    ("solver", "options"),
+    [
+        pytest.param("tsit5", {}, marks=pytest.mark.long),
+        pytest.param("springs5", {}, marks=pytest.mark.slow),
+        pytest.param("springs5", {"muscles": "pitch"}, marks=pytest.mark.long),
+    ],
 )
 def test_an_arm_moves_as_one_whose_command_is_filtered_before(solver, options):
     fine = np.linspace(0.0, 4.0, 2001)

@@ -255,7 +255,7 @@ def test_derivatives_are_those_of_an_explicit_method():
     assert_allclose(loose / scale, expected / scale, rtol=0, atol=2e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_reverse_mode_is_forward_mode():
     # The largest program of all tests needs a compiler process that holds few others.
     jax.clear_caches()

@@ -138,7 +138,7 @@ SCENE = (
     ("solver", "obstacles", "count"),
     [
         # With so few pairs of links and boxes, all are evaluated together.
-        pytest.param("springs5", SCENE[:2], 30, marks=pytest.mark.slow),
+        pytest.param("springs5", SCENE[:2], 30, marks=pytest.mark.long),
         pytest.param("tsit5", SCENE, 15, marks=pytest.mark.slow),
         pytest.param("springs5", SCENE, 1000, marks=pytest.mark.long),
         pytest.param("tsit5", SCENE, 1000, marks=pytest.mark.long),

@@ -50,6 +50,7 @@ def asked(source=None, **changes):
     return question_of(source or arm(), wanted, Limits(duration=4.0), **options)
 
 
+@pytest.mark.slow
 def test_the_command_its_files_and_what_they_promise(tmp_path, capsys):
     """The files are read back, and the information is compared with finite differences."""
     out = tmp_path / "next"

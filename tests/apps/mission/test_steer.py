@@ -149,7 +149,7 @@ def flown():
     return small_mission().fly(1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_arm_goes_through_the_middle_of_the_frame(flown):
     """With the tip on the axis, the arm would pass one side at a distance of 0.19 m."""
     arm = small_mission().model.arm
@@ -158,7 +158,7 @@ def test_the_arm_goes_through_the_middle_of_the_frame(flown):
     assert gaps.min() > 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_knows_no_more_than_pictures_show(flown):
     """Without pictures, the commands of two arms in different air are the same."""
     blind = small_mission(mission__camera_stops_s=0.0)
@@ -178,7 +178,7 @@ def test_it_knows_no_more_than_pictures_show(flown):
     assert np.abs(one.command[-1] - one.command[-50]).max() < np.deg2rad(0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_camera_that_stops_ends_in_the_safe_state(flown):
     stopped = small_mission(mission__camera_stops_s=15.0).fly(1)
     assert_allclose(stopped.command[:150], flown.command[:150], atol=1e-12)

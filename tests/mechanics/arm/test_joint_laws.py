@@ -62,7 +62,7 @@ MUSCLES = replace(switched_on(Pneumatics((1, 3, 4)), list(lagging)), lagging)
 
 @pytest.mark.parametrize(
     "law",
-    [*LAWS.values(), pytest.param(MUSCLES, marks=pytest.mark.slow)],
+    [*LAWS.values(), pytest.param(MUSCLES, marks=pytest.mark.long)],
     ids=[*LAWS, "muscles"],
 )
 def test_a_law_of_giajax_makes_no_energy_and_has_its_derivatives(law):

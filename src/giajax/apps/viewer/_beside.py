@@ -167,35 +167,39 @@ def _position(show: Show, name: str, samples: list[int], of: str) -> dict[str, A
 
 def _channels(show: Show, samples: list[int], of: str) -> list[dict[str, Any]]:
     """Return one plot for each quantity of the channels; joint angles and commands share one."""
-    lines, dots = show.scene.channels, show.measured
     quantities: dict[str, dict[str, Channel]] = {}
-    for name in sorted({*lines, *dots}):
+    for name in sorted({*show.scene.channels, *show.measured}):
         quantity = Channel.named(name).quantity
         channel = Channel.named(name, next(iter(QUANTITIES[quantity].suffixes)))
         quantities.setdefault(quantity, {})[name] = channel
-    found = []
-    for quantity, channels in quantities.items():
-        unit = next(iter(QUANTITIES[quantity].suffixes.values()))
-        spread, curves = {}, {}
-        for name, channel in channels.items():
-            line = channel.from_si(lines[name])[samples] if name in lines else None
-            dot = _seen(channel.from_si(dots[name]), samples) if name in dots else None
-            known = np.concatenate([each for each in (line, dot) if each is not None])
-            known = known[np.isfinite(known)]
-            spread[name] = float(np.ptp(known)) if len(known) else 0.0
-            curves[name] = _curve(name, line, dot)
-        most = sorted(spread, key=lambda name: -spread[name])[:_MOST_CURVES]
-        # A plot initially shows the joint or link with the largest change: its angle and command.
-        for name in curves:
-            curves[name]["chosen"] = channels[name].index == channels[most[0]].index
-        kinds = dict.fromkeys(channels[name].kind.replace("_", " ") for name in curves)
-        some = f" ({len(most)} of {len(curves)} channels)" if len(most) < len(curves) else ""
-        end = (f", {unit}" if unit else "") + some
-        most.sort(key=lambda name: (channels[name].index or 0, name))
-        shown = [curves[name] for name in most]
-        axis = quantity.replace("_", " ") + (f", {unit}" if unit else "")
-        found.append(_plot(f"{of}{' and '.join(kinds)}{end}", axis, shown))
-    return found
+    return [_quantity(show, samples, of, *each) for each in quantities.items()]
+
+
+def _quantity(
+    show: Show, samples: list[int], of: str, quantity: str, channels: dict[str, Channel]
+) -> dict[str, Any]:
+    """Return the plot of the channels of one quantity, with the curves that change most."""
+    spread, curves = {}, {}
+    for name, channel in channels.items():
+        line, dot = show.scene.channels.get(name), show.measured.get(name)
+        line = None if line is None else channel.from_si(line)[samples]
+        dot = None if dot is None else _seen(channel.from_si(dot), samples)
+        known = np.concatenate([each for each in (line, dot) if each is not None])
+        known = known[np.isfinite(known)]
+        spread[name] = float(np.ptp(known)) if len(known) else 0.0
+        curves[name] = _curve(name, line, dot)
+    most = sorted(spread, key=lambda name: -spread[name])[:_MOST_CURVES]
+    # The plot initially shows the joint or link with the largest change: its angle and command.
+    for name in curves:
+        curves[name]["chosen"] = channels[name].index == channels[most[0]].index
+    kinds = dict.fromkeys(channel.kind.replace("_", " ") for channel in channels.values())
+    unit = next(iter(QUANTITIES[quantity].suffixes.values()))
+    end = f", {unit}" if unit else ""
+    some = f" ({len(most)} of {len(curves)} channels)" if len(most) < len(curves) else ""
+    most.sort(key=lambda name: (channels[name].index or 0, name))
+    axis = quantity.replace("_", " ") + end
+    title = f"{of}{' and '.join(kinds)}{end}{some}"
+    return _plot(title, axis, [curves[name] for name in most])
 
 
 def _seen(values: np.ndarray, samples: list[int]) -> np.ndarray:
