@@ -61,14 +61,11 @@ def test_each_example_is_one_file_of_at_most_60_lines_that_asserts():
         assert "assert" in text
 
 
-# These take minutes and run only before a release. The others test the same functions.
-LONG = ("hardening_joint", "fullness_drag", "strain_gauge", "wind_profile", "cauchy_loss")
-
-
+# Each takes minutes. The example of the page on user-defined models tests the same functions.
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.long if name in LONG else pytest.mark.slow)
+        pytest.param(name, marks=pytest.mark.slow if name == "coffee_filter" else pytest.mark.long)
         for name in RESULTS
     ],
 )

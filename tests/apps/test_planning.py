@@ -158,7 +158,7 @@ def test_the_tip_is_brought_to_a_place():
     np.testing.assert_allclose(found.planned.tips[-1], place, atol=0.02 * found.travel)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_muscles_stay_below_their_pressure():
     pulled = takeichi_20m(2, muscles="pitch", parameters={"joints.damping": 0.5})
     begin, pose = np.deg2rad([[10.0, 0.0], [25.0, 0.0]])

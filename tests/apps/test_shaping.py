@@ -148,8 +148,14 @@ def short():
     return ArmModel(takeichi_20m_full(3))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("swings", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize(
+    "swings",
+    [
+        pytest.param(0.5, marks=pytest.mark.long),
+        pytest.param(1.0, marks=pytest.mark.slow),
+        pytest.param(1.5, marks=pytest.mark.long),
+    ],
+)
 def test_a_shaped_command_leaves_little_swing(short, swings):
     """2 % of the travel, and 5 % if the stiffness is 25 % off (ZVD, EI)."""
     period = modes_after(short.arm, moved(0.2, 3))[0].period
@@ -200,7 +206,7 @@ def test_an_arm_that_sags_begins_at_its_sag():
     assert found.rows[1].residual < 0.3 * found.rows[0].residual
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_with_half_of_the_gain_moves_half_as_far(short):
     plain = short.arm
     halved = takeichi_20m_full(3, parameters={"joints.drive_gain": 0.5})

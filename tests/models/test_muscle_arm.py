@@ -121,8 +121,9 @@ def driven_run(measured=None, **changes):
     return Run.from_arrays(TIMES, {**values, **measured}, definition=definition, **changes)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("off", [1.3, 0.7])
+@pytest.mark.parametrize(
+    "off", [pytest.param(1.3, marks=pytest.mark.slow), pytest.param(0.7, marks=pytest.mark.long)]
+)
 def test_muscles_are_fitted_beside_drag(off):
     blank = driven_run()
     exact = giajax.predict(replace(model_for([blank]), TRUTH), blank, CHANNELS)

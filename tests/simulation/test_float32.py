@@ -41,8 +41,13 @@ print(json.dumps({
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("solver", ["tsit5", "springs5"])
+@pytest.mark.parametrize(
+    "solver",
+    [
+        pytest.param("tsit5", marks=pytest.mark.long),
+        pytest.param("springs5", marks=pytest.mark.slow),
+    ],
+)
 def test_a_simulation_in_32_bit_is_near_that_in_64_bit(solver):
     environment = os.environ | {"JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "error"}
     ended = subprocess.run(

@@ -139,7 +139,7 @@ SCENE = (
     [
         # With so few pairs of links and boxes, all are evaluated together.
         pytest.param("springs5", SCENE[:2], 30, marks=pytest.mark.long),
-        pytest.param("tsit5", SCENE, 15, marks=pytest.mark.slow),
+        pytest.param("tsit5", SCENE, 15, marks=pytest.mark.long),
         pytest.param("springs5", SCENE, 1000, marks=pytest.mark.long),
         pytest.param("tsit5", SCENE, 1000, marks=pytest.mark.long),
     ],
@@ -202,7 +202,7 @@ def test_both_solvers_agree():
     assert_allclose(tips[0], tips[1], atol=3e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_joints_that_remember_and_links_that_stick_go_together():
     """XLA refused this program for twenty links."""
     ground = Plane(centre=[0.0, 0.0, -0.2])

@@ -86,7 +86,7 @@ SLOW, LONG = pytest.mark.slow, pytest.mark.long
             {},
             {"joint01_command": -1.0},
             id="sign",
-            marks=SLOW,
+            marks=LONG,
         ),
         pytest.param(
             "columns: joint03_command that of joint 2",
@@ -120,7 +120,7 @@ def test_a_table_of_all_joints_with_a_command_in_the_wrong_column_is_named():
     assert "columns: joint03_command that of joint 2" in first
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_drive_that_does_not_move_is_named():
     """One of four commanded joints; in a fit, its gain is freed and estimated as zero."""
     # The further joints move at the same times, so that the programs are the same.

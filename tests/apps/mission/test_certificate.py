@@ -227,7 +227,7 @@ def test_the_command_says_the_chance_and_writes_what_is_behind_it(recording, mon
     assert "--case applies to a single mission: omit --from-recording" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_missions_begin_after_a_rest(recording):
     """The recorded rest is the motion of a mission without commands, with recording noise."""
     mission = small_mission(mission__limit_s=40.0)

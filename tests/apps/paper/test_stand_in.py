@@ -91,7 +91,7 @@ def test_added_mass_in_mujoco_is_that_of_giajax():
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motion_with_friction_in_mujoco_is_that_of_giajax():
     """Dahl friction, drag, added mass and a variable wind, with reversals, on two links."""
     physics = {"air.added_mass_coefficient": 1.0, "joints.damping": 0.1}
