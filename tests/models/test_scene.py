@@ -157,7 +157,7 @@ def test_muscles_lie_on_both_sides_of_their_joint():
     assert_allclose(first.pressure, motion.pressures[:, 0, 1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_forces_are_those_of_the_air_and_of_what_is_touched():
     ground = Plane(centre=[0.0, 0.0, -0.15])
     arm = takeichi_20m(2, length=1.0, diameter=0.4, contact=Contact(obstacles=(ground,)))

@@ -144,7 +144,7 @@ def test_derivatives_of_a_motion_through_the_limits_are_slopes(solver):
         assert np.max(np.abs(slope)) * float(value) > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_backwards_are_those_forwards():
     """At the onset of wrinkling, the second derivative is infinite, so steps have an effect."""
     pressure, _ = held(arm_with(), 20.0)

@@ -104,7 +104,7 @@ def test_twelve_minutes_take_three_seconds():
     assert min(took[1:]) < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cases_are_drawn_alike_at_each_speed_of_the_air():
     short, told = blind(), []
     found = fly_cases(short, [0.0, 0.2], 2, seed=4, on_case=lambda *done: told.append(done))

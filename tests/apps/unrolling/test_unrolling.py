@@ -290,7 +290,7 @@ SLOPES = {
 }
 
 
-@pytest.mark.parametrize("order", SLOPES)
+@pytest.mark.parametrize("order", ["by gas", pytest.param("roll first", marks=pytest.mark.long)])
 def test_the_time_has_a_slope(order):
     """Forward-mode derivatives, against differences."""
     case, paths = made(order, "speed" if order == "by gas" else "force", links=3), SLOPES[order]
