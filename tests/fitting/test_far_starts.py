@@ -214,13 +214,7 @@ def test_what_is_driven_has_outliers_or_does_not_swing_begins_with_all_rows(tmp_
 
 
 # Twenty initial guesses in one valley. The test above uses one from each end.
-LONG = ("drag", "friction", "inertia")
-ANY = [
-    pytest.param(valley, marks=pytest.mark.long if valley in LONG else pytest.mark.slow)
-    for valley in VALLEYS
-]
-
-
-@pytest.mark.parametrize("valley", ANY)
+@pytest.mark.long
+@pytest.mark.parametrize("valley", VALLEYS)
 def test_it_converges_from_any_start(tmp_path, valley):
     converges(tmp_path, valley, STARTS)

@@ -151,7 +151,9 @@ def choose(
 
     watched = sys.stderr.isatty() and not no_progress
     say = (lambda name: typer.echo(f"fitting {name} ...", err=True)) if watched else None
-    choice = choose_hysteresis(runs, others, hold_out=hold_out, candidates=operator, progress=say)
+    choice = choose_hysteresis(
+        runs, others, hold_out=hold_out or (), candidates=operator, progress=say
+    )
     ended = [one for one in choice.candidates if one.converged] or choice.candidates
     least_aic, least_bic = min(one.aic for one in ended), min(one.bic for one in ended)
     keys = ("model", "parameters", "held_out_rmse", "rmse", "delta_aic", "delta_bic", "status")

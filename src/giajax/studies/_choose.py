@@ -230,7 +230,7 @@ def choose_hysteresis(
     runs: Sequence[Run],
     held_out: Sequence[Run] = (),
     *,
-    hold_out: Sequence[str] | None = None,
+    hold_out: Sequence[str] = (),
     candidates: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Choice:
@@ -240,8 +240,8 @@ def choose_hysteresis(
         runs: hysteresis runs to be fitted.
         held_out: further runs for validation.
         hold_out: what is held out of the runs, as in `giajax.recordings.hold_out`: the model
-            receives the whole input, but only the remaining output is fitted. Defaults to the last
-            30 % of each run, or to nothing if further runs are given.
+            receives the whole input, but only the remaining output is fitted. If neither this nor
+            further runs are given, it is the last 30 % of each run.
         candidates: names in `CANDIDATES`; defaults to all.
         progress: function that is called with each name before the model is fitted.
 
@@ -260,9 +260,7 @@ def choose_hysteresis(
         )
     for run in (*runs, *held_out):
         run.require_observations()
-    if hold_out is None:
-        hold_out = () if held_out else ("last:0.3",)
-    parts = split(runs, hold_out)
+    parts = split(runs, hold_out if hold_out or held_out else ["last:0.3"])
     fitted, judged = fitted_parts(parts), [*held_out, *held_parts(parts)]
     check_loops([*fitted, *judged])
     tried = []

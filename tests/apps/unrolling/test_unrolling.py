@@ -290,7 +290,10 @@ SLOPES = {
 }
 
 
-@pytest.mark.parametrize("order", ["by gas", pytest.param("roll first", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "order",
+    [pytest.param(each, marks=pytest.mark.long if each == "roll first" else ()) for each in SLOPES],
+)
 def test_the_time_has_a_slope(order):
     """Forward-mode derivatives, against differences."""
     case, paths = made(order, "speed" if order == "by gas" else "force", links=3), SLOPES[order]
