@@ -612,6 +612,21 @@ def program(function: Function) -> Function:
     return call  # type: ignore[return-value]
 
 
+def traced_once(function: Function) -> Function:
+    """Trace a function once per structure of its arguments, however often it is called.
+
+    Within a program, the traced operations are inserted at each call. Outside of a program, the
+    function is compiled as a whole, where otherwise each of its operations would be.
+
+    Arguments:
+        function: pure function of pytrees; leaves that are not arrays are static.
+    """
+    # Equinox passes unknown options to `jax.jit`, but its annotations omit them.
+    inline: Any = functools.partial(eqx.filter_jit, inline=True)
+    inlined: Function = inline(function)
+    return inlined
+
+
 def compiled_ahead(call: Callable[..., Any], *args: Any) -> bool:
     """Prepare a program for arguments like these without a run; return whether it succeeded."""
     ahead: Callable[..., bool] | None = getattr(call, "ahead", None)

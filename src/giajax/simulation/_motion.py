@@ -24,6 +24,7 @@ from ..mechanics.arm import (
     touch,
 )
 from ..runtime.arrays import Array, Float, Scalar
+from ..runtime.programs import traced_once
 from ._signal import Followed, Pressures, Signal
 
 
@@ -191,6 +192,7 @@ class Parts(NamedTuple):
     skin: Float[Array, "skin joint"]
 
 
+@traced_once
 def motion(time: Any, state: State, inputs: Inputs) -> State:
     """Return the rates and accelerations of the joints, and the derivatives of the other states."""
     # A jump exactly at the end does not belong to the motion, and the step-size control must not
@@ -301,6 +303,7 @@ class Strain(NamedTuple):
     forgetting: Float[Array, "row joint"]
 
 
+@traced_once
 def springs(time: Any, state: State, inputs: Inputs) -> Springs:
     """Return the mass matrix and the derivatives of the torques of the joints in one state."""
     angles, rates, memory, skin = inputs.parts(state)

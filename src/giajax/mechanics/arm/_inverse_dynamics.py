@@ -18,6 +18,7 @@ from ...runtime.arrays import (
     solve_lower,
     solve_upper,
 )
+from ...runtime.programs import traced_once
 from ._air import (
     Flow,
     Wind,
@@ -292,6 +293,7 @@ def _from_tip(count: int) -> list[tuple[int, int]]:
     return [(begin, end) for end, begin in itertools.pairwise(ends)]
 
 
+@traced_once
 def inverse_dynamics(
     arm: Arm,
     angles: PerJoint,

@@ -23,6 +23,7 @@ from ...runtime.arrays import (
     running_sum,
     scaled,
 )
+from ...runtime.programs import traced_once
 from ._arm import Arm, Bodies, bodies
 from ._joint_laws import PerJoint
 from ._parts import Axis
@@ -115,6 +116,7 @@ def _orient_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[An
     return (direction, axis, left), (cross(turn, direction), cross(turn, axis), t_left)
 
 
+@traced_once
 def pose(arm: Arm, angles: PerJoint, *, sideways: bool = False) -> Pose:
     """Return the forward kinematics at joint angles.
 
