@@ -228,7 +228,7 @@ def track(
     source, unknown = known_of(recorded)
     say = say_progress(quiet)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
-    hidden = unseen(source, recorded, unknown=found.unknown)
+    hidden = unseen(source, recorded, unknown=found.unknown, start=found.start)
     verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
     said = None

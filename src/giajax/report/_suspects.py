@@ -238,7 +238,10 @@ def _held(error: SystematicError, statistical: Mapping[str, float | None]) -> li
     cells = []
     for path, one in statistical.items():
         shift = error.shifts[path]
-        cells.append(f"{shift / one:+.2g}" if one else format_number(shift, ".3g"))
+        if not one:
+            cells.append(format_number(shift, ".3g"))
+        else:  # A smaller shift is a rounding error.
+            cells.append(f"{shift / one:+.2g}" if abs(shift) > 1e-6 * one else "0")
     change = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
     return [error.path, _plain(error.value), change if error.stated else "1 %", *cells]
 

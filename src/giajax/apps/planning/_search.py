@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 
 from ...mechanics.arm import Arm, clearance
 from ...runtime.arrays import Array, Float, Scalar, safe_norm
+from ...runtime.parallel import Batch, run_on_all_cores
 from ...runtime.programs import program
 from ...simulation import Signal
 from .._moves import Command, Flight
@@ -116,15 +117,16 @@ def _kept(task: Task, unknown: Array) -> Array:
 
 
 @program
-def _values(task: Task, unknown: Array) -> tuple[Array, Array]:
-    """Return the constraints and their derivatives by the unknowns, in one compiled program."""
+def _values(directions: Array, task: Task, unknown: Array) -> tuple[Array, Array]:
+    """Return the constraints and their derivatives in directions of shape (part, one, unknown).
 
-    def kept(unknown: Array) -> tuple[Array, Array]:
-        values = _kept(task, unknown)
-        return values, values
+    The results have a row for each part, in which the motion is simulated once.
+    """
 
-    slopes, values = jax.jacfwd(kept, has_aux=True)(unknown)
-    return values, slopes
+    def along(direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda unknown: _kept(task, unknown), (unknown,), (direction,))
+
+    return jax.lax.map(jax.vmap(along, out_axes=(None, 0)), directions)
 
 
 class PlanProblem:
@@ -240,7 +242,14 @@ class PlanProblem:
     def _look(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return margins and derivatives without slack."""
         unknowns = jnp.asarray(unknown, self.task.base.dtype)
-        values, slopes = map(np.asarray, _values(self.task, unknowns))
+        # Half of the derivatives for each of two cores. One core uses the same halves, so that the
+        # results are the same everywhere.
+        count = len(unknown)
+        half = -(-count // 2)
+        directions = np.eye(2 * half, count, dtype=unknowns.dtype).reshape(2, half, count)
+        batch = Batch(_values, directions, (self.task, unknowns), np.ones(2), 1)
+        (values, *_), slopes = run_on_all_cores([batch])[0]
+        slopes = np.concatenate(slopes)[:count].T
         values = np.nan_to_num(values, nan=-LOST, posinf=LOST, neginf=-LOST)
         return values, np.nan_to_num(slopes)
 

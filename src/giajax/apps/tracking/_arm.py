@@ -13,7 +13,8 @@ from ...fitting import Tie, resolved_ties, tied
 from ...mechanics.arm import link_centres, mass_matrix
 from ...models import ArmModel, recorded_channels
 from ...recordings import Channel
-from ...runtime.arrays import Array, Float, Scalar, inverse_of_positive
+from ...runtime.arrays import Array, Float, Scalar, inverse_of_positive, on_device
+from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import CAMERA, ENCODER
 from ...schema.parameters import elements, replace
@@ -183,11 +184,9 @@ class TrackedArm(eqx.Module):
     def memory_at(self, vector: np.ndarray, command: np.ndarray) -> Array:
         """Return the arm's state for the angles and rates of a vector, with unstrained joints."""
         count = self.joints
-        arm = _without_drives(self.model)
-        begun = Stepper(arm, jnp.ones(())).start(
-            vector[:count], vector[count : 2 * count], command=command
-        )
-        return begun.state
+        stepper = Stepper(_without_drives(self.model), jnp.ones(()))
+        given = (vector[:count], vector[count : 2 * count], command)
+        return _begun(stepper, *(on_device(each, float) for each in given))
 
     def followed(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the angles that drives reach for a constant command, rad.
@@ -357,6 +356,11 @@ class TrackedArm(eqx.Module):
         )
 
 
+@program
+def _begun(stepper: Stepper, angles: Array, rates: Array, command: Array) -> Array:
+    return stepper.start(angles, rates, command=command).state
+
+
 def _saturated(joints: Any, angle: Array) -> Array:
     """Return an angle after the saturation of the drives, rad."""
     saturation = joints.drive_saturation
@@ -440,7 +444,7 @@ def tracked_arm(
     late = [0.0 if each is None else float(each) for each in _delays(model)]
     bias_of, deviations, lasting = _bias_columns(channels, biases)
     model = dataclasses.replace(model, sensors=sensors.without_clocks())
-    begun = Stepper(_without_drives(model), jnp.ones(())).start()
+    begun = eqx.filter_eval_shape(Stepper(_without_drives(model), jnp.ones(())).start)
     return TrackedArm(
         model=model,
         channels=tuple(channels),

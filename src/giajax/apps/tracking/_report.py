@@ -372,7 +372,7 @@ def track_sections(
         (
             "States",
             states,
-            "The column deviation gives the standard deviations of the last state of the filter.",
+            "Final estimates and their standard deviations are those of the filter.",
         ),
         (
             "Innovations",

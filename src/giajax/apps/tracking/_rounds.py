@@ -274,7 +274,8 @@ def filtered(
         blind: replace each measured value by its prediction.
         about: states before and after each interval about which the system is linearised, shapes
             (event, state); by default, and where they are NaN, those of the filter.
-        count: number of first events that are processed; defaults to all.
+        count: number of first events that are processed; defaults to all. The results of the others
+            are zero.
 
     Returns:
         The state of the filter after the last event, and the results for each event.
@@ -282,10 +283,15 @@ def filtered(
     size = events.values.shape[0]
     real = jnp.arange(size) < (size if count is None else count)
 
+    @jax.jit  # It is traced once, although its results are needed as shapes, too.
+    def on(before: Followed, event: Events, about: Any) -> tuple[Followed, Filtered]:
+        return _one(system, before, event, estimated, gate, blind, about)
+
     def one(before: Followed, given: Any) -> tuple[Followed, Filtered]:
-        event, about, real = given
-        after, found = _one(system, before, event, estimated, gate, blind, about)
-        return jax.tree.map(lambda new, old: jnp.where(real, new, old), after, before), found
+        *given, real = given
+        shapes = jax.eval_shape(on, before, *given)[1]
+        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
+        return jax.lax.cond(real, on, lambda before, *_: (before, nothing), before, *given)
 
     return jax.lax.scan(one, start, (events, about, real))
 
@@ -357,8 +363,11 @@ def smoothed_states(after: Gaussian, states: Gaussian, motions: Motion, there: A
 
     def one(after: Gaussian, given: Any) -> tuple[Gaussian, Gaussian]:
         before, motion, there = given
-        found = smoothed(before, motion.mean, motion.slope, motion.noise, after)
-        found = jax.tree.map(lambda new, old: jnp.where(there, new, old), found, after)
+
+        def back(after: Gaussian) -> Gaussian:
+            return smoothed(before, motion.mean, motion.slope, motion.noise, after)
+
+        found = jax.lax.cond(there, back, lambda after: after, after)
         return found, found
 
     return jax.lax.scan(one, after, (states, motions, there), reverse=True)[1]

@@ -2,6 +2,7 @@
 
 import bisect
 import dataclasses
+import functools
 import itertools
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,9 @@ from ...fitting import FitResult, arm_model_of
 from ...mechanics.arm import Arm, acceleration, pose
 from ...models import AbstractModel, ArmModel, camera_of, clock_of
 from ...recordings import Channel, Run
-from ...runtime.arrays import Array, Float, scaled
+from ...runtime.arrays import Array, Float, on_device, scaled
+from ...runtime.parallel import Tell, run_in_threads
+from ...runtime.process import cores
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import WindSection
@@ -818,14 +821,18 @@ def chosen(
     tracked: TrackedArm, plan: Plan, begins: Sequence[Gaussian], settings: Settings
 ) -> Gaussian:
     """Return the initial estimate that explains the first measurements best."""
+    if len(begins) == 1:
+        return begins[0]
     events = _first(plan.events, _DECIDES)
-    best, most = begins[0], -np.inf
-    for start in begins if len(begins) > 1 else ():
-        _, found = followed_through(tracked, start, events, settings)
-        likely = log_likelihood_of(found)
-        if likely > most:
-            best, most = start, likely
-    return best
+
+    def likely(start: Gaussian, _: Tell) -> float:
+        return log_likelihood_of(followed_through(tracked, start, events, settings)[1])
+
+    jobs = [functools.partial(likely, start) for start in begins]
+    totals = run_in_threads(jobs, cores(), until=lambda _: False)
+    if None in totals:
+        raise KeyboardInterrupt
+    return begins[int(np.argmax(np.nan_to_num(np.array(totals, float), nan=-np.inf)))]
 
 
 def begun_with(system: System, start: Gaussian, watch: Watch | None = None) -> Followed:
@@ -843,7 +850,7 @@ def _calls(count: int) -> list[tuple[int, int]]:
 
 def _taken(rows: Any, at: Any) -> Any:
     """Return the rows at an index, a slice or indices."""
-    return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[at]), rows)
+    return jax.tree.map(lambda leaf: on_device(np.asarray(leaf)[at]), rows)
 
 
 def _some(rows: Any, begin: int, size: int) -> Any:
@@ -856,7 +863,7 @@ def _first(rows: Any, size: int) -> Any:
 
 
 def _joined(parts: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *leaves: jnp.asarray(np.concatenate(leaves)), *parts)
+    return jax.tree.map(lambda *leaves: on_device(np.concatenate(leaves)), *parts)
 
 
 LATELY, FEW = 10.0, 4

@@ -1,8 +1,9 @@
 """Verdict on a track: consistency of the innovations, and explanations if they are inconsistent."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,12 +11,15 @@ import numpy as np
 from ...fitting import FitResult
 from ...models import AbstractModel, ArmModel
 from ...recordings import Channel, Run
+from ...runtime.parallel import Tell, run_in_threads
+from ...runtime.process import cores
 from ...runtime.text import InputError
 from ...schema import CAMERA
 from ...schema.parameters import elements, replace
 from ..synthetic import DECAY
 from ..wind import first_guess
 from ._arm import Air, Bias, TrackedArm, delay_path
+from ._filter import Gaussian
 from ._rounds import GATE
 from ._track import (
     SHOWN,
@@ -162,46 +166,34 @@ def judge(
         look: test explanations.
         progress: function that is called with progress messages.
     """
-    say = progress or (lambda _: None)
     sound, nis, error, largest, left_out = consistent(found)
     stated, _ = model_and_unknown(model, found.run, found.unknown)
-    short = _first_rows(found.run)
-    causes: list[Cause] = []
-    tried: list[str] = []
-
-    def likely(
-        other: ArmModel,
-        unknown: Unknown,
-        noise: dict[str, float] | None = None,
-        short: Run = short,
-    ) -> float:
-        same = found.start if unknown is found.unknown else None
-        try:
-            given = (other, short, noise or found.noise, unknown, found.gate, same)
-            tracked, plan, start, settings = begun_at(*given)
-            _, rows = followed_through(tracked, start, plan.events, settings)
-        except InputError:
-            return -np.inf
-        total = log_likelihood_of(rows)
-        return total if np.isfinite(total) else -np.inf
-
-    base = likely(stated, found.unknown) if look and not sound else 0.0
-
+    cases: dict[Any, _Case] = {}
     moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
     # Shift only the first of two clocks, because only their difference matters.
     clocks = sorted({delay_path(name) for name in found.arm.channels} - {""})
-    for path in clocks[:1] if moves and look else ():
-        say(f"testing {path} ...")
-        tried.append(path)
+    clocks = clocks[:1] if moves and look else []
+    for path in clocks:
         nominal = found.arm.delay_of(path) or 0.0
         names = [name for name in found.arm.channels if delay_path(name) == path]
         enough = _first_rows(found.run, _FIRST_OF_CLOCKS)
         same = _without_first(enough, names, nominal + max(_SHIFTS))
-        totals = {
-            shift: likely(replace(stated, {path: nominal + shift}), found.unknown, short=same)
-            for shift in (0.0, *_SHIFTS)
-        }
-        gains = {shift: total - totals[0.0] for shift, total in totals.items()}
+        for shift in (0.0, *_SHIFTS):
+            other = replace(stated, {path: nominal + shift})
+            name = f"{path} {shift:+g} s" if shift else path
+            cases[path, shift] = _Case(name, other, same, found.unknown, found.noise)
+    others = _others(stated, found, nis) if look and not sound else []
+    if others:
+        short = _first_rows(found.run)
+        cases[None] = _Case("the model as given", stated, short, found.unknown, found.noise)
+        for name, unknown, noise, _ in others:
+            cases[name] = _Case(name, stated, short, unknown, noise or found.noise)
+    likely = _likelihoods(cases, found, progress or (lambda _: None))
+
+    causes: list[Cause] = []
+    for path in clocks:
+        nominal = found.arm.delay_of(path) or 0.0
+        gains = {shift: likely[path, shift] - likely[path, 0.0] for shift in (0.0, *_SHIFTS)}
         if (late := _highest(gains)) is not None:
             at, gain, deviation = late
             if gain > _GAIN:
@@ -215,17 +207,49 @@ def judge(
                         deviation,
                     )
                 )
-    if look and not sound:
-        for name, unknown, noise, advice in _others(stated, found, nis):
-            say(f"testing {name} ...")
-            tried.append(name)
-            gain = likely(stated, unknown, noise) - base
-            if gain > _GAIN:
-                causes.append(Cause(name, gain, advice))
+    for name, _, _, advice in others:
+        gain = likely[name] - likely[None]
+        if gain > _GAIN:
+            causes.append(Cause(name, gain, advice))
     causes.sort(key=lambda cause: -cause.gain)
-    return TrackVerdict(
-        sound and not causes, nis, error, largest, left_out, tuple(causes), tuple(tried)
-    )
+    tried = (*clocks, *(name for name, *_ in others))
+    return TrackVerdict(sound and not causes, nis, error, largest, left_out, tuple(causes), tried)
+
+
+class _Case(NamedTuple):
+    """Explanation to test, with its name."""
+
+    name: str
+    model: ArmModel
+    run: Run
+    unknown: Unknown
+    noise: dict[str, float]
+
+
+def _likelihoods(
+    cases: dict[Any, _Case], found: Track, say: Callable[[str], None]
+) -> dict[Any, float]:
+    """Return the log-likelihood of each case; -inf if it cannot be tracked."""
+
+    def likely(case: _Case, tell: Tell) -> float:
+        tell(say, f"testing {case.name} ...")
+        same = found.start if case.unknown is found.unknown else None
+        try:
+            given = (case.model, case.run, case.noise, case.unknown, found.gate, same)
+            tracked, plan, start, settings = begun_at(*given)
+            _, rows = followed_through(tracked, start, plan.events, settings)
+        except InputError:
+            return -np.inf
+        total = log_likelihood_of(rows)
+        return total if np.isfinite(total) else -np.inf
+
+    jobs = [functools.partial(likely, case) for case in cases.values()]
+    # The first cases share a program, which two threads would both compile.
+    totals = run_in_threads(jobs[:1], 1, until=lambda _: False)
+    totals += run_in_threads(jobs[1:], cores(), until=lambda _: False)
+    if None in totals:
+        raise KeyboardInterrupt
+    return {key: total for key, total in zip(cases, totals, strict=True) if total is not None}
 
 
 def _highest(gains: dict[float, float]) -> tuple[float, float, float] | None:
@@ -358,6 +382,7 @@ def unseen(
     *,
     unknown: Unknown | None = None,
     channels: Sequence[str] | None = None,
+    start: Gaussian | None = None,
 ) -> list[tuple[str, float, float]]:
     """Return the weakly observable states, without using measured values.
 
@@ -370,6 +395,7 @@ def unseen(
         run: run that provides the times, the commands and the channels.
         unknown: unknown quantities, as for `track`.
         channels: channels to use; defaults to all measured channels.
+        start: initial estimate, such as `Track.start`; by default, that of `track`.
 
     Returns:
         Names of the states, with initial and final standard deviations, SI units.
@@ -381,7 +407,8 @@ def unseen(
     stated, given = model_and_unknown(model, run, unknown)
     names = list(run.observations if channels is None else channels)
     noise = noise_of(run, names, result)
-    tracked, plan, start, settings = begun_at(stated, _first_rows(run), noise, given, GATE)
+    begun = begun_at(stated, _first_rows(run), noise, given, GATE, start)
+    tracked, plan, start, settings = begun
     every = jnp.ones_like(settings.estimated)
     events = plan.events
     if events.learning is not None:
