@@ -65,6 +65,40 @@ def test_pieces_solve_with_the_whole_mass_matrix(links, armature):
         assert_allclose(matrix @ found, torque, rtol=0, atol=4 * rounding)
 
 
+@pytest.mark.parametrize("armature", [None, "one", "each"])
+@pytest.mark.parametrize(("links", "items"), [(2, 3), (2, 4), (20, 17), (60, 5)])
+def test_a_batch_is_solved_as_its_items_are(links, items, armature):
+    random = np.random.default_rng(items)
+    arm, _ = driven_arm(links)
+    state = {
+        name: jnp.asarray(random.normal(size=(items, links))) * 0.1 for name in ("q", "v", "u")
+    }
+    shape = {None: None, "one": (items,), "each": (items, links)}[armature]
+    added = None if shape is None else jnp.asarray(random.uniform(0.1, 1.0, shape))
+
+    def one(q, v, u, own):
+        changed = eqx.tree_at(
+            lambda arm: arm.joints.armature, arm, own, is_leaf=lambda x: x is None
+        )
+        return acceleration(changed, q, v, u)
+
+    given = (*state.values(), added)
+    batch = jax.jit(jax.vmap(one))(*given)
+    alone = jax.jit(lambda *given: jax.lax.map(lambda item: one(*item), given))(*given)
+    assert_allclose(batch, alone, rtol=1e-9, atol=1e-9 * np.abs(alone).max())
+    # As a batch of batches, and with derivatives, whose batch is solved by the factors.
+    twice = jax.jit(jax.vmap(jax.vmap(one)))(*jax.tree.map(lambda x: jnp.stack([x, x]), given))
+    assert_allclose(twice, jnp.stack([alone, alone]), rtol=1e-9, atol=1e-9 * np.abs(alone).max())
+    way = jnp.asarray(random.normal(size=(items, links)))
+
+    def along(step):
+        return jax.vmap(one)(state["q"] + step * way, *given[1:])
+
+    _, slope = jax.jit(lambda step: jax.jvp(along, (step,), (1.0,)))(0.0)
+    below, above = jax.jit(along)(-1e-6), jax.jit(along)(1e-6)
+    assert_allclose(slope, (above - below) / 2e-6, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+
+
 @pytest.mark.parametrize("make", [general_arm, full_arm])
 def test_inverse_dynamics_undoes_forward_dynamics_of_a_long_arm(make):
     arm, state = make(100), states(100)

@@ -19,7 +19,7 @@ from ._air import (
 from ._arm import Arm, bodies
 from ._contact import touch, touched
 from ._inverse_dynamics import (
-    Piece,
+    accelerations,
     carried_inertia,
     carried_load,
     eliminate_and_solve,
@@ -119,7 +119,7 @@ def forward_dynamics(
 
 @eqx.filter_custom_jvp
 def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Flow) -> Array:
-    return _eliminate_and_solve(arm, pose(arm, angles), rates, torques, wind)[1]
+    return accelerations(*_equations(arm, pose(arm, angles), rates, torques, wind))
 
 
 @_accelerations.def_jvp
@@ -131,25 +131,26 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
     arm, angles, rates, torques, wind = primals
     t_arm, t_angles, t_rates, t_torques, t_wind = tangents
     here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
-    pieces, accelerations = _eliminate_and_solve(arm, here, rates, torques, wind)
+    pieces, found = eliminate_and_solve(*_equations(arm, here, rates, torques, wind))
 
     def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow) -> Array:
-        return torques - required_torque(arm, here, rates, accelerations, wind)
+        return torques - required_torque(arm, here, rates, found, wind)
 
     _, tangent = eqx.filter_jvp(
         unbalanced, (arm, here, rates, torques, wind), (t_arm, t_here, t_rates, t_torques, t_wind)
     )
-    return accelerations, solve_eliminated(pieces, tangent)
+    return found, solve_eliminated(pieces, tangent)
 
 
-def _eliminate_and_solve(
+def _equations(
     arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow
-) -> tuple[tuple[Piece, ...], Array]:
+) -> tuple[Array, Array, Array | None, Array]:
+    """Return the motion, momentum and armature of the mass matrix, and the torque."""
     load, inertia = carried_load(arm, here, rates, None, wind), carried_inertia(arm, here)
     carried = sum_from_tip(jnp.concatenate([load, inertia]))
     motion, momentum = motion_and_momentum(arm, here, carried[6:])
     torque = torques - load_torque(here, carried[:6])
-    return eliminate_and_solve(motion, momentum, arm.joints.armature, torque)
+    return motion, momentum, arm.joints.armature, torque
 
 
 def joint_forces(
