@@ -111,7 +111,7 @@ def test_a_class_of_that_name_in_another_file_is_not_that_of_the_result(tmp_path
         versions = versions or sources_of(registered("drag", "MovedLaw")())
     assert list(sources_named("drag = 'MovedLaw'")) == ["other_laws.py"]
     check_sources(versions, "drag = 'strip'")
-    said = r"made with first_laws.py, but its class is now defined by other_laws.py: restore"
+    said = r"used a class of first_laws.py, which other_laws.py now defines: restore"
     with pytest.raises(InputError, match=said):
         check_sources(versions, "drag = 'MovedLaw'")
 

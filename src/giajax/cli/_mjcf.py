@@ -76,7 +76,9 @@ def mjcf(
                 typer.echo(f"wrote {to}")
     else:
         if to is None:
-            raise InputError("the conversion writes three files: give --to FOLDER")
+            raise InputError(
+                "the conversion writes three files: give a folder for them (--to FOLDER)"
+            )
         if diameter is not None:
             raise InputError("--diameter applies to MuJoCo files only: omit --diameter")
         arm = driven_arm(source, None, None, quiet=quiet)[1].arm

@@ -140,7 +140,7 @@ def _show(unrolled: "Unrolled") -> None:
         at = f"{unrolled.times[-1] / 60:.0f} min (unrolled length {unrolled.paid_out[-1]:.2f} m)"
         typer.echo(f"\nthe arm is not fully unrolled after {at}: {why}")
         return
-    typer.echo(f"\nthe arm is unrolled after {unrolled.handed_over / 60:.2f} min")
+    typer.echo(f"\nthe arm is fully unrolled after {unrolled.handed_over / 60:.2f} min")
     full = unrolled.duration / 60
     typer.echo(
         "the arm is never full" if np.isnan(full) else f"the arm is full after {full:.2f} min"

@@ -228,8 +228,8 @@ def _starts(result: FitResult) -> list[str]:
         where = ", ".join(f"{path} {value:.4g}" for path, value in optimum.values.items())
         who = "1 start" if optimum.reached == 1 else f"{optimum.reached} starts"
         lines.append(
-            f"another optimum was reached from {who}, with a log-likelihood lower by "
-            f"{optimum.worse:.3g}: {where} (SI)"
+            f"{who} reached another optimum, whose log-likelihood is lower by "
+            f"{optimum.worse:.3g}: {where} (SI units)"
         )
     return lines + [
         f"{count} did not converge: {why}" for why, count in lost_starts(result).items()

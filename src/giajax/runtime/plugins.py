@@ -235,7 +235,7 @@ def check_sources(versions: Mapping[str, str], said: str = "") -> None:
     for name, found in here.items():
         if lost and found.startswith(SUM) and found not in versions.values():
             raise InputError(
-                f"the fit was made with {lost[0][0]}, but its class is now defined by {name}: "
+                f"the fit used a class of {lost[0][0]}, which {name} now defines: "
                 "restore the former version, or fit again"
             )
 

@@ -371,7 +371,7 @@ class _Branches(Group):
     travel = positive(
         1.0,
         "output",
-        "change in the desired output over which the command passes from one branch to the other",
+        "change in the desired output that moves the command from one branch to the other",
     )
 
 

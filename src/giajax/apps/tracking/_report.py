@@ -321,8 +321,8 @@ def track_notes(found: Track, verdict: TrackVerdict, hidden: Hidden = ()) -> lis
     ]
     if found.loosened > 1:
         notes.append(
-            "the state became infinite with the default unmodelled torque, so the run was tracked "
-            f"with {found.loosened} times this torque: the model may lack an effect, such as wind"
+            "the state estimate diverged with the default value of the unmodelled torque, so "
+            f"{found.loosened} times this value was used: the model may lack an effect such as wind"
         )
     notes += [change_sentence(change) for change in found.changes]
     if found.changes and not verdict.adequate:

@@ -41,7 +41,7 @@ class BranchCompensator(AbstractExactOperator):
     Arguments:
         rising: inverse rising branch F.
         falling: inverse falling branch T.
-        travel: change of the desired output over which the command passes from one branch to the
+        travel: change of the desired output that moves the command from one branch to the
             other, in the unit of the desired output; positive.
 
     Raises:
