@@ -94,6 +94,19 @@ def test_values_of_a_plan_have_their_slopes(fastest):
         np.testing.assert_allclose(slopes[:, place], slope, atol=0.1 * np.max(np.abs(slope)))
 
 
+def test_a_plan_has_the_same_numbers_on_any_number_of_cores(fastest, monkeypatch):
+    problem = pickle.loads(pickle.dumps(fastest)).problem
+    ends = []
+    for count in ("1", "2", "3"):
+        monkeypatch.setenv("GIAJAX_CORES", count)
+        y = problem.start + 1e-3 * np.append(np.ones(len(problem.start) - 2), [0.0, 0.0])
+        again = problem.closer(1.0, y)  # it has evaluated no other point
+        ends.append((again.values(y), again.slopes(y)))
+    for other in ends[1:]:
+        for one, same in zip(ends[0], other, strict=True):
+            np.testing.assert_array_equal(one, same)
+
+
 def test_the_least_time_of_a_linear_arm_is_that_of_a_linear_programme():
     """One link with small motions and without air is an oscillator that is linear in the knots."""
     still = {"air.density": 1e-6, "joints.damping": 0.05}

@@ -279,6 +279,27 @@ def test_what_is_older_than_the_history_is_lost():
         follower.ahead(2.9)
 
 
+def test_only_the_first_events_of_a_padded_call_count():
+    chain = chain_of(3)
+    rng = np.random.default_rng(8)
+    start = start_of(chain, rng)
+    intervals = [chain.interval(0.05)] * 8
+    values = simulated(chain, start, intervals, rng)[1][0]
+    every = jnp.ones(len(start.mean), bool)
+
+    def some(count, size):
+        given = (events_of(intervals[:size], values[:size]), every, jnp.asarray(np.inf), False)
+        return filtered(chain, begun(chain, start), *given, count=jnp.asarray(count))
+
+    last, rows = some(5, 8)
+    same_last, same = some(5, 5)
+    for one, other in zip(jax.tree.leaves(last), jax.tree.leaves(same_last), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    for one, other in zip(jax.tree.leaves(rows), jax.tree.leaves(same), strict=True):
+        np.testing.assert_allclose(one[:5], other, rtol=1e-12)
+        assert not np.any(one[5:])
+
+
 @eqx.filter_jit
 def last_states(chain, start, events, measured):
     """Return the states of each run after all events."""

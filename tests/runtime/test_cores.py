@@ -14,7 +14,13 @@ from threadpoolctl import ThreadpoolController
 
 from giajax import InputError, fit, map_on_cores
 from giajax.fitting import begin, chunk_size, evaluate, residuals, set_up
-from giajax.runtime.parallel import Batch, run_in_threads, run_on_all_cores, split_evenly
+from giajax.runtime.parallel import (
+    Batch,
+    all_in_threads,
+    run_in_threads,
+    run_on_all_cores,
+    split_evenly,
+)
 from giajax.runtime.process import cgroup_quota, cores, enable_x64, one_blas_thread
 from toy_model import Decay, run
 
@@ -289,3 +295,28 @@ def test_a_batch_is_shared_out_over_devices():
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count=2"
     environment = {**os.environ, "XLA_FLAGS": flags}
     subprocess.run([sys.executable, "-c", ON_TWO_DEVICES], env=environment, check=True)
+
+
+@pytest.mark.parametrize("count", ["1", "3"])
+def test_all_jobs_give_their_results_in_order_or_stop(count, monkeypatch):
+    monkeypatch.setenv("GIAJAX_CORES", count)
+    assert all_in_threads([]) == []
+    assert all_in_threads([lambda tell, k=k: k for k in range(5)]) == list(range(5))
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    # Ctrl-C while a message is shown, after which the job would have ended by itself.
+    def asked(tell):
+        tell(interrupted)
+        return 1
+
+    with pytest.raises(KeyboardInterrupt):
+        all_in_threads([asked])
+
+    def slow(tell):
+        time.sleep(0.3)
+        return 2
+
+    with pytest.raises(KeyboardInterrupt):
+        all_in_threads([asked, slow, slow])

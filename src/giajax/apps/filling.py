@@ -33,8 +33,7 @@ from ..recordings import to_toml
 from ..report import BLUE, GREY, INK, VERMILLION, new_figure, plain, to_csv, to_png
 from ..runtime.arrays import Array, Bool, Float, Int, Scalar
 from ..runtime.limits import FILLING_S
-from ..runtime.parallel import Tell, run_in_threads
-from ..runtime.process import cores
+from ..runtime.parallel import Tell, all_in_threads
 from ..runtime.programs import program
 from ..runtime.records import plain_data
 from ..runtime.text import InputError
@@ -470,14 +469,10 @@ def filling_curve(
             tell(lambda: None)  # After Ctrl-C no further computation begins.
             begin, pair = one(diameter, begin)
             found.append(pair)
-        tell(lambda: None)
         return found
 
     jobs = [functools.partial(chain, own=others[k::2]) for k in (0, 1)]
-    chains = run_in_threads(jobs, min(2, cores()), until=lambda _: False)
-    if None in chains:  # A chain did not begin.
-        raise KeyboardInterrupt
-    columns = sorted([pair, *(each for found in chains for each in found or ())])
+    columns = sorted([pair, *(each for found in all_in_threads(jobs) for each in found)])
     pairs = np.asarray(columns).T
     return FillingCurve(duration, pairs[0], pairs[1], path, pairs[2], pairs[3])
 

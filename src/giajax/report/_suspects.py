@@ -240,8 +240,9 @@ def _held(error: SystematicError, statistical: Mapping[str, float | None]) -> li
         shift = error.shifts[path]
         if not one:
             cells.append(format_number(shift, ".3g"))
-        else:  # A smaller shift is a rounding error.
-            cells.append(f"{shift / one:+.2g}" if abs(shift) > 1e-6 * one else "0")
+            continue
+        # Shifts of less than a millionth of a standard error are rounding errors.
+        cells.append("0" if abs(shift) < 1e-6 * one else f"{shift / one:+.2g}")
     change = f"{error.uncertainty:.3g}{f' {error.unit}' if error.unit else ''}"
     return [error.path, _plain(error.value), change if error.stated else "1 %", *cells]
 

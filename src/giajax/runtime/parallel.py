@@ -1,11 +1,12 @@
 """Parallel computation by compiled programs on all cores of a machine, or on several devices."""
 
 import dataclasses
+import functools
 import queue
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -13,7 +14,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from .arrays import Float
-from .process import carried, cores, one_blas_thread
+from .process import carried, cores, one_blas_thread, stop_if_asked
 from .programs import compiled_ahead, leaf_kind, program
 from .text import InputError
 
@@ -92,6 +93,27 @@ def run_in_threads(
         if error is not None and not isinstance(error, KeyboardInterrupt):
             raise error
     return [future.result() for future in futures]
+
+
+def all_in_threads(jobs: Sequence[Callable[[Tell], Result]]) -> list[Result]:
+    """Run jobs in parallel on all cores and return all of their results, in order.
+
+    Raises:
+        KeyboardInterrupt: after Ctrl-C. Running jobs stop at their next callback or end first.
+    """
+
+    def watched(job: Callable[[Tell], Result], tell: Tell) -> Result:
+        tell(stop_if_asked)
+        result = job(tell)
+        tell(stop_if_asked)
+        return result
+
+    watching = [functools.partial(watched, job) for job in jobs]
+    most = max(1, min(cores(), len(jobs)))
+    found = run_in_threads(watching, most, until=lambda _: False)
+    if any(each is None for each in found):
+        raise KeyboardInterrupt
+    return cast("list[Result]", found)
 
 
 def directly(function: Callable[..., object], *args: Any) -> None:

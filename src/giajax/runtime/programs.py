@@ -599,10 +599,7 @@ def program(function: Function) -> Function:
             return found()
         if whole is None:
             # This accesses the device, which must not happen during an import.
-            options = _options()
-            # Equinox passes unknown options to `jax.jit`, but its annotations omit them.
-            compiled: Any = functools.partial(eqx.filter_jit, **options)
-            whole = compiled(function)
+            whole = _filter_jit(function, **_options())
         return whole(*args, **kwargs)
 
     def ahead(*args: Any) -> bool:
@@ -619,12 +616,17 @@ def traced_once(function: Function) -> Function:
     function is compiled as a whole, where otherwise each of its operations would be.
 
     Arguments:
-        function: pure function of pytrees; leaves that are not arrays are static.
+        function: pure function of pytrees. Leaves that are not arrays are static: it is traced
+            again for each of their values, Python numbers included.
     """
+    return _filter_jit(function, inline=True)
+
+
+def _filter_jit(function: Function, **options: Any) -> Function:
     # Equinox passes unknown options to `jax.jit`, but its annotations omit them.
-    inline: Any = functools.partial(eqx.filter_jit, inline=True)
-    inlined: Function = inline(function)
-    return inlined
+    compiled: Any = functools.partial(eqx.filter_jit, **options)
+    result: Function = compiled(function)
+    return result
 
 
 def compiled_ahead(call: Callable[..., Any], *args: Any) -> bool:

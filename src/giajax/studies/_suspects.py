@@ -17,8 +17,7 @@ from ..fitting import (
 from ..models import AbstractModel, capabilities
 from ..noise import SUSPECT_LEVEL, Reason, Verdict, robust_deviation
 from ..recordings import Run
-from ..runtime.parallel import Tell, run_in_threads
-from ..runtime.process import cores, stop_if_asked
+from ..runtime.parallel import Tell, all_in_threads
 from ..runtime.records import json_text
 from ..runtime.text import InputError, format_estimate
 from ..schema.parameters import declared, get
@@ -704,8 +703,7 @@ def _switches(
     if not asked_of:
         return {}
 
-    def predicted(name: str | None, tell: Tell) -> list[Response]:
-        tell(stop_if_asked)
+    def predicted(name: str | None, _: Tell) -> list[Response]:
         model = result.model if name is None else asked_of[name]
         # Use the same steps of the integrator as for the columns.
         paths = [one.direction.path for one in asked.candidates]
@@ -716,15 +714,11 @@ def _switches(
             if name is None:
                 raise
             found = []  # This choice cannot be evaluated with these values.
-        tell(stop_if_asked)  # Ctrl-C may have been pressed meanwhile.
         return found
 
     # Each choice requires its own program. Programs are compiled in parallel.
     jobs = [functools.partial(predicted, name) for name in (None, *asked_of)]
-    found = run_in_threads(jobs, min(cores(), len(jobs)), until=lambda _: False)
-    if None in found:  # One of them was not started.
-        raise KeyboardInterrupt
-    base, *others = (each for each in found if each is not None)
+    base, *others = all_in_threads(jobs)
     return {
         name: [one.predicted - of.predicted for one, of in zip(other, base, strict=True)]
         for name, other in zip(asked_of, others, strict=True)

@@ -66,7 +66,7 @@ def test_no_public_function_is_left_out():
     # Parts of tested functions, which other packages and the tests of identities use.
     parts = {"carried_inertia", "eliminate_and_solve", "motion_and_momentum", "solve_eliminated"}
     parts |= {"flattening", "sum_from_tip", "check_drag_law", "check_joint_law", "check_wind"}
-    parts |= {"angular_velocities", "joint_forces"}  # in test_sensor_objects
+    parts |= {"solve_accelerations", "angular_velocities", "joint_forces"}  # in test_sensor_objects
     others = builders | without_state | of_memory | of_muscles | of_contact | parts
     assert functions - others == set(FUNCTIONS)
 

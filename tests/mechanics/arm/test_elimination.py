@@ -19,6 +19,7 @@ from giajax.mechanics.arm import (
     mass_matrix,
     motion_and_momentum,
     pose,
+    solve_accelerations,
     solve_eliminated,
     sum_from_tip,
 )
@@ -164,6 +165,11 @@ def test_what_no_inertia_has_fails_in_every_joint():
     motion, momentum = factors(arm, jnp.zeros(100))
     _, solution = eliminate_and_solve(motion, -momentum, None, jnp.ones(100))
     assert np.all(np.isnan(solution))
+    # In a batch, only the items fail that have no inertia; the motion is the same for all.
+    signs = jnp.asarray([1.0, -1.0, 1.0, -1.0, 1.0])
+    batch = jax.vmap(solve_accelerations, (None, 0, None, None))
+    found = batch(motion, signs[:, None, None] * momentum[None], None, jnp.ones(100))
+    assert np.array_equal(np.isnan(found), np.broadcast_to(signs[:, None] < 0, (5, 100)))
 
 
 def test_in_32_bit_a_long_arm_is_less_exact_but_right():
@@ -174,6 +180,9 @@ def test_in_32_bit_a_long_arm_is_less_exact_but_right():
     with jax.enable_x64(False):
         rough, _ = driven_arm(60)
         found = call(rough, *(np.float32(state[name]) for name in ("angles", "rates", "command")))
-    assert found.dtype == np.float32
-    off = np.linalg.norm(np.asarray(found, float) - np.asarray(exact))
-    assert off < 0.02 * np.linalg.norm(exact)
+        given = [np.tile(np.float32(state[n]), (5, 1)) for n in ("angles", "rates", "command")]
+        batch = jax.jit(jax.vmap(acceleration, (None, 0, 0, 0)))(rough, *given)
+    for each in (found, *batch):
+        assert each.dtype == np.float32
+        off = np.linalg.norm(np.asarray(each, float) - np.asarray(exact))
+        assert off < 0.02 * np.linalg.norm(exact)

@@ -117,10 +117,12 @@ def _kept(task: Task, unknown: Array) -> Array:
 
 
 @program
-def _values(directions: Array, task: Task, unknown: Array) -> tuple[Array, Array]:
-    """Return the constraints and their derivatives in directions of shape (part, one, unknown).
+def _values_and_slopes(
+    directions: Float[Array, "part direction unknown"], task: Task, unknown: Array
+) -> tuple[Array, Array]:
+    """Return the constraints, and their derivatives in some directions of the unknowns.
 
-    The results have a row for each part, in which the motion is simulated once.
+    Each part simulates the motion once; the results have one row for each part.
     """
 
     def along(direction: Array) -> tuple[Array, Array]:
@@ -242,12 +244,14 @@ class PlanProblem:
     def _look(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return margins and derivatives without slack."""
         unknowns = jnp.asarray(unknown, self.task.base.dtype)
-        # Half of the derivatives for each of two cores. One core uses the same halves, so that the
-        # results are the same everywhere.
+        # Half of the derivatives for each of two cores. A single core uses the same halves, so that
+        # the results do not depend on the number of cores.
+        parts = 2 if jax.default_backend() == "cpu" else 1
         count = len(unknown)
-        half = -(-count // 2)
-        directions = np.eye(2 * half, count, dtype=unknowns.dtype).reshape(2, half, count)
-        batch = Batch(_values, directions, (self.task, unknowns), np.ones(2), 1)
+        each = -(-count // parts)
+        directions = np.eye(parts * each, count, dtype=unknowns.dtype).reshape(parts, each, count)
+        given = (self.task, unknowns)
+        batch = Batch(_values_and_slopes, directions, given, np.ones(parts), 1)
         (values, *_), slopes = run_on_all_cores([batch])[0]
         slopes = np.concatenate(slopes)[:count].T
         values = np.nan_to_num(values, nan=-LOST, posinf=LOST, neginf=-LOST)

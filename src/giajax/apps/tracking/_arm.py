@@ -18,7 +18,7 @@ from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import CAMERA, ENCODER
 from ...schema.parameters import elements, replace
-from ...simulation import RESULTS, Moment, Stepper, Trajectory, constant
+from ...simulation import RESULTS, Moment, Stepper, Trajectory, check_muscles, constant
 from ..synthetic import gust_coherence, gust_spectrum, wind_frame
 from ..wind import Turbulence
 
@@ -184,7 +184,8 @@ class TrackedArm(eqx.Module):
     def memory_at(self, vector: np.ndarray, command: np.ndarray) -> Array:
         """Return the arm's state for the angles and rates of a vector, with unstrained joints."""
         count = self.joints
-        stepper = Stepper(_without_drives(self.model), jnp.ones(()))
+        stepper = Stepper(_without_drives(self.model), on_device(1.0, float))
+        check_muscles(stepper.arm, constant(command), None)
         given = (vector[:count], vector[count : 2 * count], command)
         return _begun(stepper, *(on_device(each, float) for each in given))
 
@@ -444,7 +445,7 @@ def tracked_arm(
     late = [0.0 if each is None else float(each) for each in _delays(model)]
     bias_of, deviations, lasting = _bias_columns(channels, biases)
     model = dataclasses.replace(model, sensors=sensors.without_clocks())
-    begun = eqx.filter_eval_shape(Stepper(_without_drives(model), jnp.ones(())).start)
+    begun = eqx.filter_eval_shape(Stepper(_without_drives(model), on_device(1.0, float)).start)
     return TrackedArm(
         model=model,
         channels=tuple(channels),

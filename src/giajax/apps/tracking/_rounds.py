@@ -14,11 +14,12 @@ approach to the detection and estimation of jumps in linear systems, IEEE Trans.
 import math
 from typing import Any, NamedTuple, Protocol
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from ...runtime.arrays import Array, Bool, Float, Int
-from ...runtime.programs import program
+from ...runtime.programs import program, traced_once
 from ._filter import Correction, Gaussian, Innovation, measured, moved, root_of_sum, smoothed
 
 
@@ -283,15 +284,11 @@ def filtered(
     size = events.values.shape[0]
     real = jnp.arange(size) < (size if count is None else count)
 
-    @jax.jit  # It is traced once, although its results are needed as shapes, too.
-    def on(before: Followed, event: Events, about: Any) -> tuple[Followed, Filtered]:
-        return _one(system, before, event, estimated, gate, blind, about)
-
     def one(before: Followed, given: Any) -> tuple[Followed, Filtered]:
-        *given, real = given
-        shapes = jax.eval_shape(on, before, *given)[1]
-        nothing = jax.tree.map(lambda each: jnp.zeros(each.shape, each.dtype), shapes)
-        return jax.lax.cond(real, on, lambda before, *_: (before, nothing), before, *given)
+        event, about, real = given
+        step = (system, before, event, estimated, gate, blind, about)
+        nothing = jax.tree.map(jnp.zeros_like, eqx.filter_eval_shape(_one, *step)[1])
+        return jax.lax.cond(real, lambda: _one(*step), lambda: (before, nothing))
 
     return jax.lax.scan(one, start, (events, about, real))
 
@@ -304,6 +301,7 @@ def followed_by(
     return _one(system, before, event, estimated, gate, jnp.asarray(False), None)
 
 
+@traced_once
 def _one(
     system: System,
     before: Followed,

@@ -18,8 +18,7 @@ from ...mechanics.arm import Arm, acceleration, pose
 from ...models import AbstractModel, ArmModel, camera_of, clock_of
 from ...recordings import Channel, Run
 from ...runtime.arrays import Array, Float, on_device, scaled
-from ...runtime.parallel import Tell, run_in_threads
-from ...runtime.process import cores
+from ...runtime.parallel import Tell, all_in_threads
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import WindSection
@@ -829,10 +828,8 @@ def chosen(
         return log_likelihood_of(followed_through(tracked, start, events, settings)[1])
 
     jobs = [functools.partial(likely, start) for start in begins]
-    totals = run_in_threads(jobs, cores(), until=lambda _: False)
-    if None in totals:
-        raise KeyboardInterrupt
-    return begins[int(np.argmax(np.nan_to_num(np.array(totals, float), nan=-np.inf)))]
+    totals = np.array(all_in_threads(jobs))
+    return begins[int(np.argmax(np.where(np.isnan(totals), -np.inf, totals)))]
 
 
 def begun_with(system: System, start: Gaussian, watch: Watch | None = None) -> Followed:
@@ -980,7 +977,7 @@ def watched_through(tracked: TrackedArm, start: Gaussian, plan: Plan, settings: 
         last, found = jax.block_until_ready(
             _one_call(tracked, followed, events, settings, begin, size)
         )
-        seconds.append((clock.perf_counter() - begun) / _CHUNK)
+        seconds.append((clock.perf_counter() - begun) / size)
         watch, suspected = settings.watch, found.suspected
         squares = np.zeros(size) if suspected is None else suspected.square[:size]
         far = np.flatnonzero(squares > CHANGED**2)

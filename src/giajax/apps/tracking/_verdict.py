@@ -11,8 +11,7 @@ import numpy as np
 from ...fitting import FitResult
 from ...models import AbstractModel, ArmModel
 from ...recordings import Channel, Run
-from ...runtime.parallel import Tell, run_in_threads
-from ...runtime.process import cores
+from ...runtime.parallel import Tell, all_in_threads
 from ...runtime.text import InputError
 from ...schema import CAMERA
 from ...schema.parameters import elements, replace
@@ -168,7 +167,7 @@ def judge(
     """
     sound, nis, error, largest, left_out = consistent(found)
     stated, _ = model_and_unknown(model, found.run, found.unknown)
-    cases: dict[Any, _Case] = {}
+    cases: dict[str, _Case] = {}
     moves = any(np.ptp(column) > 0 for column in found.run.commands.values())
     # Shift only the first of two clocks, because only their difference matters.
     clocks = sorted({delay_path(name) for name in found.arm.channels} - {""})
@@ -180,20 +179,20 @@ def judge(
         same = _without_first(enough, names, nominal + max(_SHIFTS))
         for shift in (0.0, *_SHIFTS):
             other = replace(stated, {path: nominal + shift})
-            name = f"{path} {shift:+g} s" if shift else path
-            cases[path, shift] = _Case(name, other, same, found.unknown, found.noise)
+            cases[_shifted(path, shift)] = _Case(other, same, found.unknown, found.noise)
     others = _others(stated, found, nis) if look and not sound else []
     if others:
         short = _first_rows(found.run)
-        cases[None] = _Case("the model as given", stated, short, found.unknown, found.noise)
+        cases[_GIVEN] = _Case(stated, short, found.unknown, found.noise)
         for name, unknown, noise, _ in others:
-            cases[name] = _Case(name, stated, short, unknown, noise or found.noise)
+            cases[name] = _Case(stated, short, unknown, noise or found.noise)
     likely = _likelihoods(cases, found, progress or (lambda _: None))
 
     causes: list[Cause] = []
     for path in clocks:
         nominal = found.arm.delay_of(path) or 0.0
-        gains = {shift: likely[path, shift] - likely[path, 0.0] for shift in (0.0, *_SHIFTS)}
+        totals = {shift: likely[_shifted(path, shift)] for shift in (0.0, *_SHIFTS)}
+        gains = {shift: total - totals[0.0] for shift, total in totals.items()}
         if (late := _highest(gains)) is not None:
             at, gain, deviation = late
             if gain > _GAIN:
@@ -208,7 +207,7 @@ def judge(
                     )
                 )
     for name, _, _, advice in others:
-        gain = likely[name] - likely[None]
+        gain = likely[name] - likely[_GIVEN]
         if gain > _GAIN:
             causes.append(Cause(name, gain, advice))
     causes.sort(key=lambda cause: -cause.gain)
@@ -217,22 +216,28 @@ def judge(
 
 
 class _Case(NamedTuple):
-    """Explanation to test, with its name."""
+    """Model and assumptions whose likelihood is computed."""
 
-    name: str
     model: ArmModel
     run: Run
     unknown: Unknown
     noise: dict[str, float]
 
 
-def _likelihoods(
-    cases: dict[Any, _Case], found: Track, say: Callable[[str], None]
-) -> dict[Any, float]:
-    """Return the log-likelihood of each case; -inf if it cannot be tracked."""
+_GIVEN = "the model as given"
 
-    def likely(case: _Case, tell: Tell) -> float:
-        tell(say, f"testing {case.name} ...")
+
+def _shifted(path: str, shift: float) -> str:
+    return f"{path} shifted by {shift:+g} s" if shift else path
+
+
+def _likelihoods(
+    cases: dict[str, _Case], found: Track, say: Callable[[str], None]
+) -> dict[str, float]:
+    """Return the log-likelihood of each case by its name; -inf if it cannot be tracked."""
+
+    def likely(name: str, case: _Case, tell: Tell) -> float:
+        tell(say, f"testing {name} ...")
         same = found.start if case.unknown is found.unknown else None
         try:
             given = (case.model, case.run, case.noise, case.unknown, found.gate, same)
@@ -243,13 +248,8 @@ def _likelihoods(
         total = log_likelihood_of(rows)
         return total if np.isfinite(total) else -np.inf
 
-    jobs = [functools.partial(likely, case) for case in cases.values()]
-    # The first cases share a program, which two threads would both compile.
-    totals = run_in_threads(jobs[:1], 1, until=lambda _: False)
-    totals += run_in_threads(jobs[1:], cores(), until=lambda _: False)
-    if None in totals:
-        raise KeyboardInterrupt
-    return {key: total for key, total in zip(cases, totals, strict=True) if total is not None}
+    jobs = [functools.partial(likely, *case) for case in cases.items()]
+    return dict(zip(cases, all_in_threads(jobs), strict=True))
 
 
 def _highest(gains: dict[float, float]) -> tuple[float, float, float] | None:
@@ -395,7 +395,8 @@ def unseen(
         run: run that provides the times, the commands and the channels.
         unknown: unknown quantities, as for `track`.
         channels: channels to use; defaults to all measured channels.
-        start: initial estimate, such as `Track.start`; by default, that of `track`.
+        start: initial estimate for the same unknowns and channels, such as `Track.start`; by
+            default, it is computed as in `track`.
 
     Returns:
         Names of the states, with initial and final standard deviations, SI units.
@@ -407,17 +408,16 @@ def unseen(
     stated, given = model_and_unknown(model, run, unknown)
     names = list(run.observations if channels is None else channels)
     noise = noise_of(run, names, result)
-    begun = begun_at(stated, _first_rows(run), noise, given, GATE, start)
-    tracked, plan, start, settings = begun
+    tracked, plan, begun, settings = begun_at(stated, _first_rows(run), noise, given, GATE, start)
     every = jnp.ones_like(settings.estimated)
     events = plan.events
     if events.learning is not None:
         moves = jnp.ones_like(events.learning.moves)
         events = events._replace(learning=events.learning._replace(moves=moves))
     _, rows = followed_through(
-        tracked, start, events, settings._replace(estimated=every, blind=jnp.asarray(True))
+        tracked, begun, events, settings._replace(estimated=every, blind=jnp.asarray(True))
     )
-    before = np.sqrt(np.sum(np.asarray(start.root) ** 2, axis=1))
+    before = np.sqrt(np.sum(np.asarray(begun.root) ** 2, axis=1))
     after = np.sqrt(np.sum(np.asarray(rows.state.root[-1]) ** 2, axis=1))
     return [
         (name, float(before[index]), float(after[index]))

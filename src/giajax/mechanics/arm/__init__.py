@@ -54,6 +54,7 @@ from ._inverse_dynamics import (
     inverse_dynamics as inverse_dynamics,
     mass_matrix as mass_matrix,
     motion_and_momentum as motion_and_momentum,
+    solve_accelerations as solve_accelerations,
     solve_eliminated as solve_eliminated,
 )
 from ._joint_laws import (

@@ -19,7 +19,6 @@ from ._air import (
 from ._arm import Arm, bodies
 from ._contact import touch, touched
 from ._inverse_dynamics import (
-    accelerations,
     carried_inertia,
     carried_load,
     eliminate_and_solve,
@@ -27,6 +26,7 @@ from ._inverse_dynamics import (
     mass_matrix,
     motion_and_momentum,
     required_torque,
+    solve_accelerations,
     solve_eliminated,
 )
 from ._joint_laws import JointLaws, PerJoint, States
@@ -119,7 +119,7 @@ def forward_dynamics(
 
 @eqx.filter_custom_jvp
 def _accelerations(arm: Arm, angles: Array, rates: Array, torques: Array, wind: Flow) -> Array:
-    return accelerations(*_equations(arm, pose(arm, angles), rates, torques, wind))
+    return solve_accelerations(*_equations(arm, pose(arm, angles), rates, torques, wind))
 
 
 @_accelerations.def_jvp
@@ -131,15 +131,15 @@ def _accelerations_jvp(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> t
     arm, angles, rates, torques, wind = primals
     t_arm, t_angles, t_rates, t_torques, t_wind = tangents
     here, t_here = eqx.filter_jvp(pose, (arm, angles), (t_arm, t_angles))
-    pieces, found = eliminate_and_solve(*_equations(arm, here, rates, torques, wind))
+    pieces, accelerations = eliminate_and_solve(*_equations(arm, here, rates, torques, wind))
 
     def unbalanced(arm: Arm, here: Pose, rates: Array, torques: Array, wind: Flow) -> Array:
-        return torques - required_torque(arm, here, rates, found, wind)
+        return torques - required_torque(arm, here, rates, accelerations, wind)
 
     _, tangent = eqx.filter_jvp(
         unbalanced, (arm, here, rates, torques, wind), (t_arm, t_here, t_rates, t_torques, t_wind)
     )
-    return found, solve_eliminated(pieces, tangent)
+    return accelerations, solve_eliminated(pieces, tangent)
 
 
 def _equations(

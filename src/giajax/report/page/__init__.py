@@ -2,5 +2,5 @@
 
 import lazy_loader
 
-# The pages of studies have no plots of bokeh, which takes half a second to import.
+# The pages of studies need no plots of bokeh, whose modules take half a second to import.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
