@@ -20,7 +20,7 @@ import numpy as np
 from ..models import AbstractModel, capabilities
 from ..recordings import Channel, Run, parse_column
 from ..runtime.arrays import Array, on_device
-from ..runtime.parallel import Batch, run_on_all_cores
+from ..runtime.parallel import Batch, run_on_all_cores, tangents_in_parts
 from ..runtime.programs import program
 from ..runtime.records import finite_or_none
 from ..runtime.text import InputError
@@ -345,7 +345,8 @@ def responses(
         lengths = np.asarray([len(runs[i].observations[channels[0]]) for i in members])
         shared = (model, paths, steps, channels, sizes, varied, tuple(ties))
         amounts = _amounts(paths, sizes)
-        tangents = _tangents(amounts, alone=len(members) == 1)
+        alone = len(members) == 1
+        tangents = tangents_in_parts(amounts, 2 if alone and amounts >= _DEALT_OUT else 1)
         # Combine each run with each part of the tangents.
         parts = len(tangents)
         items = jax.tree.map(lambda leaf, n=parts: np.repeat(leaf, n, axis=0), (inputs, rows))
@@ -389,18 +390,6 @@ def _amounts(paths: tuple[str, ...], own: tuple[tuple[str, int], ...]) -> int:
 # each of two cores. The number does not depend on the machine, so programs and results are the same
 # everywhere.
 _DEALT_OUT = 16
-
-
-def _tangents(count: int, *, alone: bool) -> np.ndarray:
-    """Return the amounts in parts that are differentiated together.
-
-    Returns:
-        Tangents, shape (part, tangent, amount).
-    """
-    parts = 2 if alone and count >= _DEALT_OUT else 1
-    each = -(-count // parts)
-    whole = np.eye(parts * each, count, dtype=jnp.result_type(float))
-    return whole.reshape(parts, each, count)
 
 
 @program

@@ -285,6 +285,16 @@ def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndar
     return list(whole.reshape(-1, length))
 
 
+def tangents_in_parts(count: int, parts: int) -> Float[np.ndarray, "part tangent quantity"]:
+    """Return the tangents of some quantities in equal parts that are differentiated together.
+
+    The last part may end with zeros.
+    """
+    each = -(-count // parts)
+    whole = np.eye(parts * each, count, dtype=jax.numpy.result_type(float))
+    return whole.reshape(parts, each, count)
+
+
 @dataclasses.dataclass(frozen=True)
 class _Share:
     """Some items of a batch: indices, data, amount of work, and the key of their program."""

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from ...mechanics.arm import Arm, clearance
 from ...runtime.arrays import Array, Float, Scalar, safe_norm
-from ...runtime.parallel import Batch, run_on_all_cores
+from ...runtime.parallel import Batch, run_on_all_cores, tangents_in_parts
 from ...runtime.programs import program
 from ...simulation import Signal
 from .._moves import Command, Flight
@@ -118,17 +118,17 @@ def _kept(task: Task, unknown: Array) -> Array:
 
 @program
 def _values_and_slopes(
-    directions: Float[Array, "part direction unknown"], task: Task, unknown: Array
+    tangents: Float[Array, "part tangent unknown"], task: Task, unknown: Array
 ) -> tuple[Array, Array]:
-    """Return the constraints, and their derivatives in some directions of the unknowns.
+    """Return the constraints, and their derivatives along tangents of the unknowns.
 
     Each part simulates the motion once; the results have one row for each part.
     """
 
-    def along(direction: Array) -> tuple[Array, Array]:
-        return jax.jvp(lambda unknown: _kept(task, unknown), (unknown,), (direction,))
+    def along(tangent: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda unknown: _kept(task, unknown), (unknown,), (tangent,))
 
-    return jax.lax.map(jax.vmap(along, out_axes=(None, 0)), directions)
+    return jax.lax.map(jax.vmap(along, out_axes=(None, 0)), tangents)
 
 
 class PlanProblem:
@@ -247,13 +247,10 @@ class PlanProblem:
         # Half of the derivatives for each of two cores. A single core uses the same halves, so that
         # the results do not depend on the number of cores.
         parts = 2 if jax.default_backend() == "cpu" else 1
-        count = len(unknown)
-        each = -(-count // parts)
-        directions = np.eye(parts * each, count, dtype=unknowns.dtype).reshape(parts, each, count)
-        given = (self.task, unknowns)
-        batch = Batch(_values_and_slopes, directions, given, np.ones(parts), 1)
+        tangents, given = tangents_in_parts(len(unknown), parts), (self.task, unknowns)
+        batch = Batch(_values_and_slopes, tangents, given, np.ones(parts), 1)
         (values, *_), slopes = run_on_all_cores([batch])[0]
-        slopes = np.concatenate(slopes)[:count].T
+        slopes = np.concatenate(slopes)[: len(unknown)].T
         values = np.nan_to_num(values, nan=-LOST, posinf=LOST, neginf=-LOST)
         return values, np.nan_to_num(slopes)
 

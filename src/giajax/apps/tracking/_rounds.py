@@ -361,11 +361,8 @@ def smoothed_states(after: Gaussian, states: Gaussian, motions: Motion, there: A
 
     def one(after: Gaussian, given: Any) -> tuple[Gaussian, Gaussian]:
         before, motion, there = given
-
-        def back(after: Gaussian) -> Gaussian:
-            return smoothed(before, motion.mean, motion.slope, motion.noise, after)
-
-        found = jax.lax.cond(there, back, lambda after: after, after)
+        step = (before, motion.mean, motion.slope, motion.noise, after)
+        found = jax.lax.cond(there, lambda: smoothed(*step), lambda: after)
         return found, found
 
     return jax.lax.scan(one, after, (states, motions, there), reverse=True)[1]

@@ -393,9 +393,10 @@ def inverse_dynamics(
             still air by default.
         time: time at which a wind field is evaluated, s.
     """
-    # As an array, because a program is specialised to the value of a Python number.
-    time = jnp.asarray(time, jnp.result_type(float))
-    return _inverse_dynamics(arm, angles, rates, accelerations, wind, wind_rate, time)
+    # A program is specialised to the value of a Python number. As an array, this number remains
+    # weakly typed and does not change the precision.
+    at = jnp.asarray(time)
+    return _inverse_dynamics(arm, angles, rates, accelerations, wind, wind_rate, at)
 
 
 @traced_once
