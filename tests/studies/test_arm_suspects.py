@@ -213,6 +213,28 @@ def test_joints_of_different_stiffness_scatter():
     assert row.estimate == pytest.approx(0.1, abs=0.07)
 
 
+@pytest.mark.slow
+def test_a_fit_at_a_fine_tolerance_is_tested_at_a_coarser_one():
+    """A score test needs fewer digits than the estimates, and takes much longer than a step."""
+    free, run = ["joints.damping", "joints.pitch_stiffness"], recorded({"camera.delay": 0.01})
+    start = {path: small_arm.START[path] for path in free}
+    fine = ArmModel(arm().arm, tolerance=1e-9)
+    result = giajax.fit(fine, run, free=free, start=start)
+    found = giajax.suspects(result, run, parameters_alone=True)
+    # Nothing is known about the effect of the tolerance on this result.
+    unknown = dataclasses.replace(result, tolerance_effect=None)
+    exact = giajax.suspects(unknown, run, parameters_alone=True)
+    drops = {row.path: row.chi_square_drop for row in exact.rows if row.testable}
+    assert max(drops.values()) > 9
+    for path, drop in drops.items():
+        assert found.of(path).chi_square_drop == pytest.approx(drop, rel=1e-2, abs=1e-2)
+    assert found.chi_square != exact.chi_square
+    # An effect that may exceed the errors of the estimates forbids it.
+    large = dataclasses.replace(result.tolerance_effect, largest_in_standard_errors=0.5)
+    alarming = dataclasses.replace(result, tolerance_effect=large)
+    assert giajax.suspects(alarming, run, parameters_alone=True).chi_square == exact.chi_square
+
+
 REMEMBERS = {"joints.memory.strength": 0.3, "joints.memory.yield_angle": 0.02}
 
 

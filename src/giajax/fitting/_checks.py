@@ -8,6 +8,7 @@ import numpy as np
 
 from ..models import capabilities
 from ..runtime.arrays import Float
+from ..runtime.parallel import all_in_threads
 from ..runtime.records import finite_or_none
 from ._records import GradientCheck, Shift, ToleranceEffect
 from ._statistics import Statistics
@@ -367,7 +368,8 @@ def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | N
     if known_here and centre.dtype == np.float64:
         by_difference = (at(offset) - np.asarray(state.inner.residual)) / offset
     else:
-        by_difference = (at(offset) - at(-offset)) / (2 * offset)
+        ahead, behind = all_in_threads([lambda _: at(offset), lambda _: at(-offset)])
+        by_difference = (ahead - behind) / (2 * offset)
     by_autodiff = jacobian.times(direction)
     relative = np.linalg.norm(by_autodiff - by_difference) / np.linalg.norm(by_autodiff)
     if not np.isfinite(relative):
