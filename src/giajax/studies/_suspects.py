@@ -410,6 +410,9 @@ def suspects(
     correlated in time (AR(1) in the samples of each channel). They are corrected for the number of
     tests by Holm's method.
 
+    If the integrator tolerance of the fit is below 1e-6, the tests use a coarser tolerance that
+    shifts the estimates by at most 0.1 standard errors.
+
     Arguments:
         result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
             same order.
