@@ -542,7 +542,7 @@ class _Study:
             for each, row in zip(commands, times, strict=True)
             for arm in arms
         ]
-        stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *cases)
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *cases)
         # One case per item: the same compiled program then serves any number of cases.
         batch = Batch(_moved, stacked, (), np.ones(len(cases)), 1)
         distances, successful = run_on_all_cores([batch])[0]

@@ -410,9 +410,6 @@ def suspects(
     correlated in time (AR(1) in the samples of each channel). They are corrected for the number of
     tests by Holm's method.
 
-    If the integrator tolerance of the fit is below 1e-6, the tests use a coarser tolerance that
-    shifts the estimates by at most 0.1 standard errors.
-
     Arguments:
         result, runs: result of `giajax.fit` or `giajax.load_result`, and the fitted runs in the
             same order.
@@ -430,7 +427,7 @@ def suspects(
         >>> giajax.suspects(result, runs).promising[0].path  # doctest: +SKIP
         'camera.delay'
     """
-    runs, result = matching_runs(result.runs, runs), _coarser(result)
+    runs = matching_runs(result.runs, runs)
     asked = functools.partial(_asked, runs=runs, each=each, parameters_alone=parameters_alone)
     begun = as_begun(result) if _is_astray(result) else None
     if begun is None:
@@ -681,32 +678,25 @@ def _with_moves(
     return [moved(row) for row in rows]
 
 
-# Tolerance of the integrator that is fine enough for a score test, unless it might shift the
-# estimates by more than this many standard errors.
-_FINE, _SHIFT = 1e-6, 0.1
-
-
-def _coarser(result: FitResult) -> FitResult:
-    """Return the result with a coarser tolerance if that of the fit is finer than tests require.
-
-    The tests differ from those at the tolerance of the fit by the shift of the estimates, which
-    increases in proportion to the tolerance or more slowly.
-    """
-    known, effect = capabilities.integration(result.model), result.tolerance_effect
-    if known is None or known.tolerance is None or known.tolerance >= _FINE or effect is None:
-        return result
-    shift = effect.largest_in_standard_errors
-    if shift is None or not shift < _SHIFT:
-        return result
-    tolerance = min(_FINE, known.tolerance * _SHIFT / shift) if shift else _FINE
-    model = capabilities.with_integration(result.model, solver=None, tolerance=tolerance)
-    return dataclasses.replace(result, model=model)
+# The columns of a test need fewer digits than its residuals and take much longer. They are computed
+# at this tolerance of the integrator, or at a coarser one if it is sufficient for the fit.
+_COLUMNS = 1e-6
 
 
 def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[Response]:
     """Return the responses of each run at the end of the fit; fitted parameters come first."""
     directions = [*asked.free, *(candidate.direction for candidate in asked.candidates)]
-    return responses_of(result, runs, asked.model, directions)
+    known, coarser = capabilities.integration(asked.model), None
+    if known is not None and known.tolerance is not None and known.tolerance < _COLUMNS:
+        coarser = capabilities.refined(asked.model, _COLUMNS / known.tolerance)
+    if coarser is None:
+        return responses_of(result, runs, asked.model, directions)
+    columns = responses_of(result, runs, coarser, directions)
+    exact = responses_of(result, runs, asked.model)
+    return [
+        dataclasses.replace(one, predicted=of.predicted)
+        for one, of in zip(columns, exact, strict=True)
+    ]
 
 
 def _switches(

@@ -443,7 +443,7 @@ def _moved(
     times = settling_times(float(command.times[-1]), _LATER * period)
     signal, stamps = command.signal(rows), jnp.asarray(times)
     cases = [Flight(without_contact(each), signal, stamps, jnp.asarray(_FINAL)) for each in arms]
-    stacked = jax.tree.map(lambda *leaves: np.stack([np.asarray(x) for x in leaves]), *cases)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *cases)
     batch = Batch(_flights, stacked, (arms[0],), np.ones(len(cases)), 1)
     angles, tips, rests, successful, gaps = map(np.asarray, run_on_all_cores([batch])[0])
     if not successful[0]:

@@ -80,21 +80,16 @@ def _orient(
         sideways: whether to return the unit vectors to the left of the links; otherwise None.
     """
     fixed = jnp.asarray(axes, dtype=angles.dtype).T
-    # A vector of four rows would compute each sine three times.
-    halves = jnp.stack([jnp.cos(angles / 2), jnp.sin(angles / 2)])
-    column = functools.partial(jax.lax.dynamic_slice_in_dim, slice_size=1, axis=1)
-
-    def turn(k: Array | int) -> Array:
-        cosine, sine = column(halves, k)
-        return jnp.concatenate([cosine[None], scaled(sine, column(fixed, k))])
+    turns = jnp.concatenate([jnp.cos(angles / 2)[None], scaled(jnp.sin(angles / 2), fixed)])
+    first = quaternion_product(base[:, None], turns[:, :1])
 
     def compose(k: Array, turned: Array) -> Array:
-        after = quaternion_product(column(turned, k - 1), turn(k))
+        column = functools.partial(jax.lax.dynamic_slice_in_dim, turned, slice_size=1, axis=1)
+        after = quaternion_product(column(k - 1), column(k))
         return jax.lax.dynamic_update_slice_in_dim(turned, after, k, 1)
 
     # The loop updates the array in place. A scan would copy its inputs and outputs.
-    first = quaternion_product(base[:, None], turn(0))
-    whole = jnp.pad(first, ((0, 0), (0, angles.size - 1)))
+    whole = jnp.concatenate([first, turns[:, 1:]], axis=1)
     orientations = jax.lax.fori_loop(1, angles.size, compose, whole)
     w, x, y, z = orientations
     direction = jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
