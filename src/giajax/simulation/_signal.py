@@ -23,7 +23,7 @@ from ..mechanics.joint import (
     muscle_balance,
 )
 from ..runtime.arrays import Array, Bool, Float, Scalar, larger
-from ..runtime.programs import program, traced_once
+from ..runtime.programs import program
 from ..runtime.text import InputError
 from ..schema.parameters import is_concrete
 
@@ -133,7 +133,9 @@ class Signal(eqx.Module):
 
     def __call__(self, time: Scalar) -> Float[Array, " width"]:
         """Return the value at a time (s)."""
-        return _value_at(self, jnp.asarray(time))
+        knot = last_before(self.times, time)
+        elapsed = larger(time - self.times[knot], 0)
+        return self.values[knot] + self.slopes[knot] * elapsed
 
     def rate(self, time: Scalar) -> Float[Array, " width"]:
         """Return the slope at a time (s), without jumps; 0 before the first knot."""
@@ -164,13 +166,6 @@ class Signal(eqx.Module):
 # A lag below this (s) is treated as zero, because it does not affect the motion and quotients by it
 # must remain finite.
 _NO_LAG = 1e-12
-
-
-@traced_once
-def _value_at(signal: Signal, time: Scalar) -> Float[Array, " width"]:
-    knot = last_before(signal.times, time)
-    elapsed = larger(time - signal.times[knot], 0)
-    return signal.values[knot] + signal.slopes[knot] * elapsed
 
 
 class LaggedSignal(eqx.Module):
