@@ -272,9 +272,10 @@ def test_the_page_of_a_drive_shows_all_of_the_arm(page):
         check(page, ends_of(cockpit._scene(cockpit.session.pose)))
         token = cockpit.address.split("/")[3]
         assert page.evaluate("location.href") == cockpit.address
-        for each in (READ, READ.replace("document", f"{scene}.document")):
-            assert "arm" in page.evaluate(each)
-            assert token not in page.evaluate(each)
+        of_scene = READ.replace("document", f"{scene}.document")
+        for text, title in ((READ, "giajax drive"), (of_scene, "giajax: arm")):
+            assert page.evaluate(text).startswith(title)
+            assert token not in page.evaluate(text)
         assert not page.complaints
     finally:
         cockpit.close()
