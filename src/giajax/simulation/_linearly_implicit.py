@@ -6,6 +6,7 @@ and all other terms are explicit. A step requires one additional factorisation. 
 iteration, unless joints have hysteresis.
 """
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
@@ -245,7 +246,18 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # treated as a constant, because that equation has the same J and further terms that are not
         # stiff.
         scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
-        pull_before, resisted = self.pull(t0, y0, args), self.resistance(t0, y0, args)
+        # The inputs at all stages are computed together, which takes hardly more time than one.
+        # Rounding must not move the time beyond the end, where the next piece of the command may
+        # start.
+        moments = jnp.minimum(t0 + times * step, t1)
+        given = jax.vmap(args.given)(moments)
+
+        def knowing(given: Any) -> Any:
+            return dataclasses.replace(args, known=given)
+
+        pulls = jax.vmap(lambda time, given: self.pull(time, y0, knowing(given)))(moments, given)
+        pulls = pulls - pulls[:1]
+        resisted = self.resistance(t0, y0, args)
         solve, factorised = self._solver(scale, springs, linear=resisted is None)
         known, slope = solver_state
         # The slope at the start, usually that at the end of the previous step, is the slope of
@@ -307,24 +319,25 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         def advance(stage: Any, carried: Stages) -> Stages:
             parts, _, _, off = carried
             known_part = jnp.sum(combine[stage][..., None, None] * parts, axis=(0, 1))
-            # Rounding must not move the time beyond the end, where the next piece of the command
-            # may start.
-            time = jnp.minimum(t0 + times[stage] * step, t1)
-            pull = self.pull(time, y0, args) - pull_before
+            time, pull, here = jax.tree.map(
+                lambda each: jax.lax.dynamic_index_in_dim(each, stage, keepdims=False),
+                (moments, pulls, given),
+            )
+            own = knowing(here)
             # The end of the step is a weighted sum rather than a stage.
             if resisted is None:
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))
             else:
-                given = known_part, pull, time, y0, args, resisted
+                fixed = known_part, pull, time, y0, own, resisted
                 near = guess[stage] @ parts[:, 0, 0] / length - y0[1]
                 near = jnp.where(stage == 0, 0, near)
                 change, moved = jax.lax.cond(
                     stage == end,
                     lambda: (known_part, jnp.zeros_like(off)),
-                    lambda: found(near, given),
+                    lambda: found(near, fixed),
                 )
                 off = jnp.maximum(off, moved)
-            slope = terms.vf(time, y0 + change, args)
+            slope = terms.vf(time, y0 + change, own)
             # h f(Y) and h (J (Y - y0) + g)
             part = jnp.stack([step * slope, (change - known_part) / gamma])
             parts = jax.lax.dynamic_update_index_in_dim(parts, part, stage, 0)

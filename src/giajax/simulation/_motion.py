@@ -89,6 +89,22 @@ def fastest_rate(
     return rate
 
 
+class Given(NamedTuple):
+    """Values of all inputs of an arm at one time; None for an input that does not exist.
+
+    Attributes:
+        command: angles towards which the drives pull, rad.
+        pressures: pressures supplied to the muscles, by the run or by their controller, Pa.
+        wind: velocity of the air, m/s, and its rate of change, m/s^2.
+        torque: torque of the joints' drives, N m.
+    """
+
+    command: Float[Array, " joint"]
+    pressures: Float[Array, "2 joint"] | None
+    wind: tuple[Array, Array] | None
+    torque: Float[Array, " joint"] | None
+
+
 class Inputs(eqx.Module):
     """The arm and the inputs that move it.
 
@@ -104,6 +120,7 @@ class Inputs(eqx.Module):
         first: time at which drifting parameters have their initial values, s; None for 0.
         since: start time of the current step, s, and the state at that time, if laws have
             rate-independent states.
+        known: values of the inputs at the time of the next calls, if they are known.
     """
 
     arm: Arm
@@ -115,6 +132,24 @@ class Inputs(eqx.Module):
     begin: Scalar | None = None
     first: Scalar | None = None
     since: "tuple[Scalar, State] | None" = None
+    known: Given | None = None
+
+    def given(self, time: Any) -> Given:
+        """Return the values of the inputs at a time."""
+        if self.known is not None:
+            return self.known
+        # A jump exactly at the end does not belong to the motion, and the step-size control must
+        # not bisect it.
+        time = jnp.minimum(time, self.end)
+        command = self.command(time)
+        pressures, driven = self.supplied(time, command), self.arm.further_laws.driven
+        if pressures is None and driven is not None:
+            pressures = driven.commanded(command)
+        wind = None
+        if self.wind is not None:
+            air, gust = self.wind(time), self.wind.rate(time)
+            wind = along_links(self.arm, air), along_links(self.arm, gust)
+        return Given(command, pressures, wind, None if self.torque is None else self.torque(time))
 
     def arm_at(self, time: Any) -> Arm:
         """Return the arm with the drifted parameters at a time."""
@@ -154,8 +189,8 @@ class Inputs(eqx.Module):
         self, laws: JointLaws, time: Any, angles: Array, rates: Array, states: Array | None
     ) -> JointState:
         """Return the joint states seen by laws; by default at the beginning of a motion."""
-        command = self.command(time)
-        return laws.at(angles, rates, command, states, self.supplied(time, command))
+        given = self.given(time)
+        return laws.at(angles, rates, given.command, states, given.pressures)
 
     def supplied(self, time: Any, command: Array) -> Float[Array, "2 joint"] | None:
         """Return the pressures (Pa) of the run; None if the controller supplies all of them."""
@@ -195,18 +230,15 @@ class Parts(NamedTuple):
 @traced_once
 def motion(time: Any, state: State, inputs: Inputs) -> State:
     """Return the rates and accelerations of the joints, and the derivatives of the other states."""
-    # A jump exactly at the end does not belong to the motion, and the step-size control must not
-    # bisect it.
     time = jnp.minimum(time, inputs.end)
     angles, rates, memory, skin = inputs.parts(inputs.followed(time, state))
-    arm, wind = inputs.arm_at(time), inputs.wind
+    arm, given = inputs.arm_at(time), inputs.given(time)
     laws = arm.joint_laws
-    at = inputs.at(laws, time, angles, rates, memory)
-    air = None if wind is None else along_links(arm, wind(time))
-    gust = None if wind is None else along_links(arm, wind.rate(time))
+    at = laws.at(angles, rates, given.command, memory, given.pressures)
+    air, gust = (None, None) if given.wind is None else given.wind
     torque = laws.torque(at)
-    if inputs.torque is not None:
-        torque = torque + inputs.torque(time)
+    if given.torque is not None:
+        torque = torque + given.torque
     met = None if arm.contact is None else touch(arm, angles, rates, skin if skin.size else None)
     if met is not None:
         torque = torque + met.torque
@@ -344,14 +376,13 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     # term, the deflection.
     arm, state = jax.lax.stop_gradient((inputs.arm_at(time), state))
     angles, rates, memory, _ = inputs.parts(state)
-    inputs = dataclasses.replace(inputs, arm=arm)
     # Only laws that a command may affect are included: the springs, user-defined laws and muscles.
-    laws = arm.further_laws
-    at = inputs.at(laws, time, angles, rates, memory)
+    laws, given = arm.further_laws, inputs.given(time)
+    at = laws.at(angles, rates, given.command, memory, given.pressures)
     torque = Spring(arm.spring_stiffness).torque(at)
     for law, own in tuple(laws.each(at))[len(arm.joints.hysteresis.laws) :]:
         torque = torque if inputs.follows(law) else torque + law.torque(own)
-    return torque if inputs.torque is None else torque + inputs.torque(time)
+    return torque if given.torque is None else torque + given.torque
 
 
 def resistance(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"] | None:

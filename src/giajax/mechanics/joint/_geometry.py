@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...runtime.arrays import Array, Bool, Float, Scalar, bisect, hypotenuse, larger
+from ...runtime.arrays import Array, Bool, Float, Scalar, bisect, computed_once, hypotenuse, larger
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from ...schema import GEOMETRY
@@ -34,7 +34,7 @@ class Bend(NamedTuple):
     @classmethod
     def by(cls, angle: Shaped) -> "Bend":
         """Return the bend for a bending angle, rad."""
-        return cls(jnp.cos(angle / 2), jnp.sin(angle / 2))
+        return cls(*computed_once(jnp.stack([jnp.cos(angle / 2), jnp.sin(angle / 2)])))
 
     @property
     def back(self) -> "Bend":
