@@ -2,14 +2,17 @@
 
 import contextlib
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..models import capabilities
 from ..runtime.arrays import Float
-from ..runtime.parallel import all_in_threads
+from ..runtime.parallel import Tell, all_in_threads
 from ..runtime.records import finite_or_none
+from ._linearise import BlockJacobian
+from ._problem import Problem
 from ._records import GradientCheck, Shift, ToleranceEffect
 from ._statistics import Statistics
 from ._steps import FitState, at_tolerance, evaluate, has_many_rows, move, residuals_at, step
@@ -313,40 +316,60 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
     """Return the checks of a finished fit. After Ctrl-C the completed checks are kept."""
     done = Checks(None, None, {}, interrupted=True)
     with contextlib.suppress(KeyboardInterrupt):
-        done = done._replace(gradient=gradient_check(state, statistics))
-        done = done._replace(tolerance=tolerance_effect(state, statistics))
-        done = done._replace(curvatures=curvatures(state, statistics), interrupted=False)
+        # A fine Jacobian takes most of the time of all checks, so it has one of the cores.
+        jobs: list[Callable[[Tell], Any]] = [
+            lambda _: _finely(state),
+            lambda _: curvatures(state, statistics),
+        ]
+        fine, bent = all_in_threads(jobs)
+        done = done._replace(curvatures=bent, gradient=_gradient_check(state, statistics, *fine))
+        done = done._replace(tolerance=tolerance_effect(state, statistics), interrupted=False)
     return done
 
 
-def gradient_check(state: FitState, statistics: Statistics) -> GradientCheck | None:
-    """Compare the Jacobian with a finite difference at the optimum, at a finer tolerance.
+def _finely(state: FitState) -> tuple[Problem, BlockJacobian]:
+    """Return the problem at the tolerance of the gradient check, and a Jacobian at the optimum.
 
-    The finer tolerance is at least 1e-10. The difference is taken along one direction in which
-    every parameter has the same weight in the residual, so an error in any column shows. Parameters
-    at a bound are excluded, because no difference can be taken beyond it. Parameters to which no
-    channel responds at their final values are excluded, too. If many runs have the same channels, a
-    few of them are checked, because one program differentiates all of them. For recordings with
-    many rows, the tolerance is that of the fit, because a finer Jacobian would take as long as the
-    fit. In 64 bit their difference is one-sided. The steps of the integrator then contribute about
-    1e-4, which is still small enough to detect a wrong column.
+    The tolerance is at least 1e-10, and that of the Jacobian at least 1e-9, because a difference
+    divides the errors of the integrator by its step. If many runs have the same channels, the
+    Jacobian is that of a few of them, because one program differentiates all of them. For
+    recordings with many rows, the tolerance is that of the fit, because a finer Jacobian would take
+    as long as the fit.
+    """
+    tolerance = state.tolerance
+    if tolerance is not None and has_many_rows(state):
+        return state.problem, state.jacobian
+
+    def refined(finest: float) -> Problem:
+        finer = _FINER
+        if tolerance is not None:
+            finer = min(max(min(_FINER, _FINE / tolerance), finest / tolerance), 1.0)
+        model = capabilities.refined(state.problem.model, finer)
+        return dataclasses.replace(
+            state.problem, model=state.problem.model if model is None else model
+        )
+
+    inner = evaluate(state, state.coordinate, refined(_FINE), sample=True)
+    return refined(_FINEST), state.jacobian_at(inner)
+
+
+def _gradient_check(
+    state: FitState, statistics: Statistics, problem: Problem, jacobian: BlockJacobian
+) -> GradientCheck | None:
+    """Compare a Jacobian with a finite difference. The arguments are those of `_finely`.
+
+    The difference is taken along one direction in which every parameter has the same weight in the
+    residual, so an error in any column shows. Parameters at a bound are excluded, because no
+    difference can be taken beyond it. Parameters to which no channel responds at their final values
+    are excluded, too. At the tolerance of the fit, the difference is one-sided in 64 bit. The steps
+    of the integrator then contribute about 1e-4, which is still small enough to detect a wrong
+    column.
 
     Returns:
         The comparison, or None if no parameter is left or a simulation fails.
     """
-    tolerance = state.tolerance
-    known_here = tolerance is not None and has_many_rows(state)
-    centre, problem = np.asarray(state.coordinate), state.problem
+    known_here, centre = problem is state.problem, np.asarray(state.coordinate)
     offset = _DIFFERENCE if centre.dtype == np.float64 else _DIFFERENCE_32
-    if known_here:
-        jacobian = state.jacobian
-    else:
-        finer = _FINER
-        if tolerance is not None:
-            finer = min(max(min(_FINER, _FINE / tolerance), _FINEST / tolerance), 1.0)
-        refined = capabilities.refined(problem.model, finer)
-        problem = dataclasses.replace(problem, model=problem.model if refined is None else refined)
-        jacobian = state.jacobian_at(evaluate(state, centre, problem, sample=True))
     norms = jacobian.norms()
     takes_part = np.zeros(problem.size, bool)
     takes_part[statistics.alive] = True
