@@ -4,9 +4,13 @@ Each arm is simulated with the largest tolerance that keeps the error of its tip
 without derivatives and once with the derivatives with respect to four parameters. The arms take
 turns, and the least times are compared.
 
+The last rows are of the plain arm with a stiffness factor for each joint: the Jacobian of the tip
+with respect to these factors, and the gradient of one number in reverse mode.
+
     python -m benchmarks.right_model [--quick] [--out FILE]
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -18,6 +22,7 @@ from benchmarks.measuring import columns, in_turns, report
 from giajax import joint_ramps, replace, simulate, takeichi_20m, takeichi_20m_full
 from giajax.mechanics.arm import Arm
 from giajax.runtime.programs import program
+from giajax.simulation import Signal
 
 ACCURACY = 1e-4  # error of the tip, m
 TOLERANCES = (3e-4, 2e-4, 1e-4, 7e-5, 5e-5, 3e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)
@@ -39,6 +44,10 @@ ALLOWED = {
     "memory and full air": (4.0, 5.0),
     "muscles in the pitch joints": (1.8, 2.0),
 }
+
+
+# Largest Jacobian with respect to a stiffness of each joint, relative to that of four parameters.
+ALLOWED_EACH = 6.0
 
 
 def arms(links: int) -> dict[str, Arm]:
@@ -82,13 +91,38 @@ def measure(quick: bool) -> dict[str, Any]:
             contenders[f"{name}: {of}"] = lambda call=call, given=given: jax.block_until_ready(
                 call(*given)
             )
-    times_of = in_turns(contenders, repeats)
+    many: dict[str, Any] = each_stiffness(
+        arms(links)["plain"], command, times, found["plain"]["tolerance"]
+    )
+    times_of = in_turns(contenders | many, repeats)
     plain = {of: times_of[f"plain: {of}"]["min"] for of in ("run", "slopes")}
     for name, each in found.items():
         for of, least in plain.items():
             seconds_of = times_of[f"{name}: {of}"]["min"]
             each[of] = {"seconds": seconds_of, "ratio": seconds_of / least}
-    return {"links": links, "arms": found}
+    for name in many:
+        seconds_of = times_of[name]["min"]
+        many[name] = {"seconds": seconds_of, "ratio": seconds_of / plain["slopes"]}
+    return {"links": links, "arms": found, "each": many}
+
+
+def each_stiffness(
+    arm: Arm, command: Signal, times: Any, tolerance: float
+) -> dict[str, Callable[[], Any]]:
+    """Return derivatives by a stiffness of each joint: a Jacobian, and the gradient of a number."""
+
+    def tip(factors: Any, derivatives: str) -> Any:
+        own = replace(arm, {"joints.stiffness_factor": factors})
+        how: dict[str, Any] = {"rtol": tolerance, "atol": tolerance, "derivatives": derivatives}
+        return simulate(own, command, times, **how).tip
+
+    slopes = program(jax.jacfwd(lambda factors: tip(factors, "forward")))
+    gradient = program(jax.grad(lambda factors: jnp.sum(tip(factors, "reverse") ** 2)))
+    factors = jnp.full(arm.count, 1.01)
+    return {
+        "Jacobian": lambda: jax.block_until_ready(slopes(factors)),
+        "gradient": lambda: jax.block_until_ready(gradient(factors)),
+    }
 
 
 def table(found: dict[str, Any]) -> Table:
@@ -110,6 +144,10 @@ def table(found: dict[str, Any]) -> Table:
         for of, most in zip(("run", "slopes"), allowed, strict=True):
             cells += [f"{1e3 * each[of]['seconds']:.3g}", f"{each[of]['ratio']:.2f} ({most:g})"]
         rows.add_row(name, *cells)
+    for name, took in found["each"].items():
+        limit = f" ({ALLOWED_EACH:g})" if name == "Jacobian" else ""
+        last = f"{1e3 * took['seconds']:.3g}", f"{took['ratio']:.2f}{limit}"
+        rows.add_row(f"a stiffness of each joint: {name}", "", "", "", "", *last)
     return rows
 
 

@@ -32,7 +32,7 @@ from ..mechanics.arm import Arm, acceleration, tip_position
 from ..models import AbstractModel
 from ..report import BLUE, GREEN, GREY, VERMILLION, new_figure, plain
 from ..runtime.arrays import Array, Float
-from ..runtime.parallel import Batch, run_on_all_cores
+from ..runtime.parallel import Batch, run_on_all_cores, stacked_items
 from ..runtime.programs import program
 from ..runtime.text import InputError
 from ._moves import (
@@ -542,9 +542,8 @@ class _Study:
             for each, row in zip(commands, times, strict=True)
             for arm in arms
         ]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *cases)
         # One case per item: the same compiled program then serves any number of cases.
-        batch = Batch(_moved, stacked, (), np.ones(len(cases)), 1)
+        batch = Batch(_moved, stacked_items(cases), (), np.ones(len(cases)), 1)
         distances, successful = run_on_all_cores([batch])[0]
         distances = np.where(successful[:, None], distances, np.inf)
         distances = distances.reshape(len(commands), len(arms), -1)

@@ -275,6 +275,14 @@ def _mapped(
     return jax.lax.map(lambda item: function(item, *shared), items, batch_size=batch_size)
 
 
+def stacked_items(items: Sequence[Any]) -> Any:
+    """Stack pytrees of the same structure and shapes along a new first axis, as NumPy arrays.
+
+    With JAX, each array would be a program.
+    """
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *items)
+
+
 def split_evenly(sizes: Float[np.ndarray, " item"], length: int) -> list[np.ndarray]:
     """Return indices of items in shares of equal length, with the largest items first.
 

@@ -121,6 +121,12 @@ def test_nothing_is_faster_or_further_than_allowed(operator):
         assert np.rad2deg(np.abs(after).max()) <= 30.0 * (1 + 1e-12)
 
 
+def test_a_page_that_loads_slowly_waits_for_the_first_command(operator):
+    operator.receive({"type": "alive"}, 0.0)
+    operator.advance(3.0, STEP)
+    assert operator.stopped == NOT_YET
+
+
 @pytest.mark.parametrize(
     ("happens", "why"),
     [

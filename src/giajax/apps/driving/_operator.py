@@ -248,7 +248,9 @@ class Operator:
 
     def advance(self, now: float, elapsed: float) -> Float[np.ndarray, " joint"]:
         """Return the command at time `now`, s, after a step of `elapsed`, s; in rad."""
-        if self._heard is not None and now - self._heard > self.mapping.timeout:
+        # Before the first command nothing moves, and a page may take long to load.
+        silent = self._heard is not None and now - self._heard > self.mapping.timeout
+        if silent and self.stopped is None:
             self._stop(SILENT)
         most, smoothing = self.mapping.largest_rate * elapsed, self.mapping.smoothing
         # Rates follow the sticks with a lag, but stop immediately.

@@ -13,7 +13,7 @@ from ...mechanics.arm import Arm, clearance
 from ...mechanics.obstacles import owners
 from ...models import AbstractModel, ArmModel
 from ...runtime.arrays import Array, Float
-from ...runtime.parallel import Batch, run_on_all_cores
+from ...runtime.parallel import Batch, run_on_all_cores, stacked_items
 from ...runtime.programs import program
 from ...runtime.text import InputError
 from .._moves import (
@@ -443,8 +443,7 @@ def _moved(
     times = settling_times(float(command.times[-1]), _LATER * period)
     signal, stamps = command.signal(rows), jnp.asarray(times)
     cases = [Flight(without_contact(each), signal, stamps, jnp.asarray(_FINAL)) for each in arms]
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *cases)
-    batch = Batch(_flights, stacked, (arms[0],), np.ones(len(cases)), 1)
+    batch = Batch(_flights, stacked_items(cases), (arms[0],), np.ones(len(cases)), 1)
     angles, tips, rests, successful, gaps = map(np.asarray, run_on_all_cores([batch])[0])
     if not successful[0]:
         raise InputError(

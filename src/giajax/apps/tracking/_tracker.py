@@ -4,7 +4,6 @@ import bisect
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,6 +11,7 @@ from ...fitting import FitResult, arm_model_of
 from ...models import AbstractModel
 from ...recordings import Channel
 from ...runtime.arrays import Array
+from ...runtime.parallel import stacked_items
 from ...runtime.text import InputError
 from ._arm import Held, TrackedArm, tracked_arm
 from ._filter import Gaussian
@@ -247,7 +247,7 @@ class DelayedFilter(Generic[Kept]):
         if len(kept) < 2:
             return
         begun = self._clones[0].followed
-        events: Events = _stacked([clone.event for clone in kept])
+        events: Events = stacked_items([clone.event for clone in kept])
         settings = Settings(self._estimated, self._gate, jnp.asarray(False), begun.watch)
         _, rows = followed_through(self.system, begun, events, settings)
         _, rows = linearised_again(self.system, begun, events, settings, rows)
@@ -299,11 +299,6 @@ class DelayedFilter(Generic[Kept]):
 
 def _time(clone: _Clone) -> float:
     return clone.time
-
-
-def _stacked(rows: list[Any]) -> Any:
-    # Use NumPy, because hundreds of small arrays are slow in JAX.
-    return jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows)
 
 
 class _Initial(NamedTuple):
