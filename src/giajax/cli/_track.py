@@ -5,7 +5,6 @@ import json
 import math
 import sys
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -229,11 +228,8 @@ def track(
     source, unknown = known_of(recorded)
     say = say_progress(quiet)
     found = tracked(source, recorded, unknown=unknown, latency=latency, gate=gate, progress=say)
-    with ThreadPoolExecutor(1) as beside:
-        # The tests of the judge leave a core idle at the end.
-        weak = beside.submit(unseen, source, recorded, unknown=found.unknown, start=found.start)
-        verdict = judge(source, found, progress=say, look=not no_judge)
-        hidden = weak.result()
+    hidden = unseen(source, recorded, unknown=found.unknown, start=found.start)
+    verdict = judge(source, found, progress=say, look=not no_judge)
     facts = track_facts(found, verdict, hidden)
     said = None
     if true is not None:
