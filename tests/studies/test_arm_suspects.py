@@ -225,11 +225,6 @@ def test_columns_at_a_coarser_tolerance_do_not_change_the_tests(monkeypatch):
     assert result.integration.tolerance < 1e-7
     found = giajax.suspects(result, run, parameters_alone=True)
     assert not found.significant
-    # A loaded result has no predictions, so its residuals are computed again.
-    loaded = dataclasses.replace(result, predictions=())
-    again = giajax.suspects(loaded, run, parameters_alone=True)
-    assert again.chi_square == pytest.approx(found.chi_square, rel=1e-3)
-    assert not again.significant
     monkeypatch.setattr("giajax.studies._suspects._COLUMNS", 0.0)
     exact = giajax.suspects(result, run, parameters_alone=True)
     assert found.chi_square == pytest.approx(exact.chi_square, rel=1e-9)

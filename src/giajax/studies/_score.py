@@ -84,9 +84,7 @@ def as_begun(result: FitResult) -> FitResult | None:
         for path, estimate in result.parameters.items()
     }
     ties = resolved_ties(model, result.config.get("ties", {}))
-    return dataclasses.replace(
-        result, model=tied(model, ties), parameters=parameters, predictions=()
-    )
+    return dataclasses.replace(result, model=tied(model, ties), parameters=parameters)
 
 
 def responses_of(

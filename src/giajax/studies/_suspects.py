@@ -692,13 +692,11 @@ def linearised(result: FitResult, runs: Sequence[Run], asked: Inquiry) -> list[R
     if coarser is None:
         return responses_of(result, runs, asked.model, directions)
     columns = responses_of(result, runs, coarser, directions)
-    # A result that was just fitted still has its predictions.
-    exact: Sequence[np.ndarray] = [
-        np.stack([of[name] for name in one.channels], axis=-1)
-        for one, of in zip(columns, result.predictions, strict=False)
-    ] or [one.predicted for one in responses_of(result, runs, asked.model)]
-    pairs = zip(columns, exact, strict=True)
-    return [dataclasses.replace(one, predicted=predicted) for one, predicted in pairs]
+    exact = responses_of(result, runs, asked.model)
+    return [
+        dataclasses.replace(one, predicted=of.predicted)
+        for one, of in zip(columns, exact, strict=True)
+    ]
 
 
 def _switches(
