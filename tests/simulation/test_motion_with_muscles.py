@@ -24,10 +24,12 @@ from giajax.schema.parameters import replace
 from giajax.simulation import (
     Pressures,
     check_muscles,
+    constant,
     fastest_rate,
     joint_ramps,
     joint_steps,
     logged,
+    ramps,
     simulate,
     steps,
 )
@@ -250,6 +252,31 @@ def test_derivatives_from_rest_are_slopes(solver, lag):
         # %.
         off = (4e-3 if lag is None else 1e-2) * np.max(np.abs(slope))
         assert_allclose(found[..., index], slope, atol=off, err_msg=path)
+
+
+def test_commanded_angles_do_not_depend_on_the_effectiveness():
+    """The controller compensates for it, and no derivative may show it even at a loose tolerance.
+
+    A rounding error per step remains, which is far below the response of other parameters.
+    """
+    arm = arm_with()
+    command = ramps([0.0, 0.2, 1.2], np.outer([0.0, 0.0, 1.0], [0.4, -0.3, 0.3]))
+
+    def angles(number):
+        stronger = replace(arm, {"muscle.effectiveness": number})
+        how = {"rtol": 1e-4, "atol": 1e-4, "steps_for": "derivatives"}
+        return simulate(stronger, command, np.linspace(0.0, 3.0, 31), **how).angles
+
+    number = arm.pneumatics.muscle.effectiveness
+    assert np.max(np.abs(jax.jacfwd(angles)(number))) < 1e-11
+
+
+def test_the_last_sample_has_the_pressures_after_a_jump_there():
+    arm, times = arm_with(links=2, muscles="all"), np.linspace(0.0, 1.0, 6)
+    rows = np.concatenate([np.outer(np.arange(6) + 1, [1e3, 1e3]), np.full((6, 2), 1e3)], axis=1)
+    held = Pressures(steps(times, rows), (1, 2))
+    motion = simulate(arm, constant([0.0, 0.0]), times, pressure=held)
+    assert_allclose(motion.pressures[:, 0, 0], rows[:, 0])
 
 
 def test_what_muscles_cannot_do_is_refused():

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -56,11 +57,11 @@ class Curvature(NamedTuple):
     skew: float
 
 
-def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
-    """Return the curvature along each determined parameter, by position.
+def _curved(state: FitState, statistics: Statistics) -> list[int]:
+    """Return the positions of the parameters whose curvature is computed.
 
-    Parameters of single runs, parameters at a bound, parameters with small relative errors, and
-    parameters near which the model fails are omitted.
+    Parameters of single runs, parameters at a bound and parameters with small relative errors are
+    omitted.
     """
     relative = {
         index: error / (abs(statistics.values[index]) or 1e-300)
@@ -68,11 +69,11 @@ def curvatures(state: FitState, statistics: Statistics) -> dict[int, Curvature]:
         if index < state.problem.shared and index not in statistics.bounds
     }
     asked = [i for i in sorted(relative, key=lambda i: -relative[i]) if relative[i] > _SURE]
-    bent = {index: _curvature(state, statistics, index) for index in sorted(asked[:_MOST])}
-    return {index: known for index, known in bent.items() if known is not None}
+    return sorted(asked[:_MOST])
 
 
 def _curvature(state: FitState, statistics: Statistics, index: int) -> Curvature | None:
+    """Return the curvature along a parameter; None if the model fails near it."""
     bijector, values = state.problem.bijector, statistics.values
     row = int(np.flatnonzero(statistics.alive == index)[0])
     # The parameter moves by its standard error, and the others follow to the lowest cost.
@@ -314,17 +315,21 @@ class Checks(NamedTuple):
 
 def checks(state: FitState, statistics: Statistics) -> Checks:
     """Return the checks of a finished fit. After Ctrl-C the completed checks are kept."""
-    done = Checks(None, None, {}, interrupted=True)
+    done, bent = Checks(None, None, {}, interrupted=True), dict[int, Curvature]()
+
+    def bend(index: int, _: Tell) -> None:
+        found = _curvature(state, statistics, index)
+        if found is not None:
+            bent[index] = found
+
+    # The fine Jacobian takes most of the time of all checks, so it begins first.
+    jobs: list[Callable[[Tell], Any]] = [lambda _: _finely(state)]
+    jobs += [functools.partial(bend, index) for index in _curved(state, statistics)]
     with contextlib.suppress(KeyboardInterrupt):
-        # A fine Jacobian takes most of the time of all checks, so it has one of the cores.
-        jobs: list[Callable[[Tell], Any]] = [
-            lambda _: _finely(state),
-            lambda _: curvatures(state, statistics),
-        ]
-        fine, bent = all_in_threads(jobs)
-        done = done._replace(curvatures=bent, gradient=_gradient_check(state, statistics, *fine))
-        done = done._replace(tolerance=tolerance_effect(state, statistics), interrupted=False)
-    return done
+        done = done._replace(tolerance=tolerance_effect(state, statistics))
+        fine, *_ = all_in_threads(jobs)
+        done = done._replace(gradient=_gradient_check(state, statistics, *fine), interrupted=False)
+    return done._replace(curvatures=dict(sorted(bent.items())))
 
 
 def _finely(state: FitState) -> tuple[Problem, BlockJacobian]:

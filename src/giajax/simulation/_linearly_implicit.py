@@ -246,16 +246,12 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
         # treated as a constant, because that equation has the same J and further terms that are not
         # stiff.
         scale, springs = jax.lax.stop_gradient((gamma * step, self.springs(t0, y0, args)))
-        # The inputs at all stages are computed together, which takes hardly more time than one.
-        # Rounding must not move the time beyond the end, where the next piece of the command may
-        # start.
+        # The inputs and the pull at all stages are computed together, which takes hardly more time
+        # than for one. Rounding must not move the time beyond the end, where the next piece of the
+        # command may start.
         moments = jnp.minimum(t0 + times * step, t1)
-        given = jax.vmap(args.given)(moments)
-
-        def knowing(given: Any) -> Any:
-            return dataclasses.replace(args, known=given)
-
-        pulls = jax.vmap(lambda time, given: self.pull(time, y0, knowing(given)))(moments, given)
+        given = jax.vmap(args.given)(jnp.minimum(moments, args.end))
+        pulls = jax.vmap(lambda time: self.pull(time, y0, args))(moments)
         pulls = pulls - pulls[:1]
         resisted = self.resistance(t0, y0, args)
         solve, factorised = self._solver(scale, springs, linear=resisted is None)
@@ -323,7 +319,7 @@ class LinearlyImplicit(diffrax.AbstractAdaptiveSolver):
                 lambda each: jax.lax.dynamic_index_in_dim(each, stage, keepdims=False),
                 (moments, pulls, given),
             )
-            own = knowing(here)
+            own = dataclasses.replace(args, known=here)
             # The end of the step is a weighted sum rather than a stage.
             if resisted is None:
                 change = jnp.where(stage == end, known_part, solve(known_part, pull))

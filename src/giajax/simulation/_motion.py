@@ -138,9 +138,6 @@ class Inputs(eqx.Module):
         """Return the values of the inputs at a time."""
         if self.known is not None:
             return self.known
-        # A jump exactly at the end does not belong to the motion, and the step-size control must
-        # not bisect it.
-        time = jnp.minimum(time, self.end)
         command = self.command(time)
         pressures, driven = self.supplied(time, command), self.arm.further_laws.driven
         if pressures is None and driven is not None:
@@ -230,6 +227,8 @@ class Parts(NamedTuple):
 @traced_once
 def motion(time: Any, state: State, inputs: Inputs) -> State:
     """Return the rates and accelerations of the joints, and the derivatives of the other states."""
+    # A jump exactly at the end does not belong to the motion, and the step-size control must not
+    # bisect it.
     time = jnp.minimum(time, inputs.end)
     angles, rates, memory, skin = inputs.parts(inputs.followed(time, state))
     arm, given = inputs.arm_at(time), inputs.given(time)
@@ -377,7 +376,7 @@ def pull(time: Any, state: State, inputs: Inputs) -> Float[Array, " joint"]:
     arm, state = jax.lax.stop_gradient((inputs.arm_at(time), state))
     angles, rates, memory, _ = inputs.parts(state)
     # Only laws that a command may affect are included: the springs, user-defined laws and muscles.
-    laws, given = arm.further_laws, inputs.given(time)
+    laws, given = arm.further_laws, dataclasses.replace(inputs, arm=arm).given(time)
     at = laws.at(angles, rates, given.command, memory, given.pressures)
     torque = Spring(arm.spring_stiffness).torque(at)
     for law, own in tuple(laws.each(at))[len(arm.joints.hysteresis.laws) :]:
