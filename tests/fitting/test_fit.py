@@ -344,6 +344,19 @@ def test_an_interrupted_fit_keeps_the_best():
     assert result.gradient_check is None
 
 
+def test_an_interrupted_check_keeps_the_others(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    whole = fit(Decay(), run(), start=START)
+    monkeypatch.setattr(_checks, "_gradient_check", interrupted)
+    result = fit(Decay(), run(), start=START)
+    assert result.status == "interrupted"
+    assert "then interrupted before the result was checked" in result.message
+    assert (result.gradient_check, result.findings) == (None, whole.findings)
+    assert result.tolerance_effect == whole.tolerance_effect
+
+
 def test_an_interrupted_step_keeps_the_state_before_it(monkeypatch):
     step, seen = _loop.trial, []
 

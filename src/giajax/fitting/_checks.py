@@ -317,10 +317,11 @@ def checks(state: FitState, statistics: Statistics) -> Checks:
     """Return the checks of a finished fit. After Ctrl-C the completed checks are kept."""
     done, bent = Checks(None, None, {}, interrupted=True), dict[int, Curvature]()
 
-    def bend(index: int, _: Tell) -> None:
+    def bend(index: int, _: Tell) -> bool:
         found = _curvature(state, statistics, index)
         if found is not None:
             bent[index] = found
+        return True
 
     # The fine Jacobian takes most of the time of all checks, so it begins first.
     jobs: list[Callable[[Tell], Any]] = [lambda _: _finely(state)]
