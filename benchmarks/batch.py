@@ -65,8 +65,7 @@ def arranged(values: Any, layout: str) -> Any:
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1) if last else leaf, values)
 
 
-@program
-def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
+def evaluate(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any:
     """Compute `loop` dependent evaluations of every item."""
 
     def one(item: dict[str, Any]) -> Any:
@@ -76,6 +75,10 @@ def evaluations(arm: Arm, states: dict[str, Any], layout: str, loop: Any) -> Any
         return jax.lax.fori_loop(0, loop, again, item["angles"])
 
     return spread_over(one, states, layout)
+
+
+# With the XLA options of giajax, which are those of a CPU.
+evaluations = program(evaluate)
 
 
 @eqx.filter_jit

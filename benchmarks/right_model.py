@@ -45,8 +45,7 @@ ALLOWED = {
     "muscles in the pitch joints": (1.8, 2.0),
 }
 
-
-# Largest Jacobian with respect to a stiffness of each joint, relative to that of four parameters.
+# The Jacobian with respect to a stiffness of each joint, relative to that of four parameters.
 ALLOWED_EACH = 6.0
 
 

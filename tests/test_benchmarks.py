@@ -47,6 +47,7 @@ def test_the_benchmark_runs(tmp_path):
         assert each["standard_errors_off"] < 0.01, name
     for what in ("evaluation", "run", "gradient", "batch"):
         assert f"{what}: MuJoCo in C over giajax" in found["ratios"]
+    assert "gradient: the plain arm over a stiffness of each joint" in found["ratios"]
     for heading in ("One evaluation", "from half the drag", "full air", "Ratios"):
         assert heading in printed
     assert [path.name for path in tmp_path.iterdir()] == ["new"]
@@ -95,7 +96,8 @@ def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
     both = {"giajax springs5": {"min": 2.0}, "MuJoCo, drag in C": {"min": 6.0}}
     arms = {"plain": {}, "memory": {"run": {"ratio": 4.0}, "slopes": {"ratio": 2.0}}}
     found = {"evaluation": one, "batch": one, "fits": one, "run": both, "gradient": both}
-    found |= {"arms": arms}
+    found |= {"arms": arms, "each": {"Jacobian": {"ratio": 3.0}}}
+    found |= {"processes": {"next": {"wall": 2.0}, "refits": 10.0}}
     program = "import json, sys; from benchmarks.bench._ratios import ratios; "
     program += "print(json.dumps(ratios(json.loads(sys.argv[1]))))"
     command = [sys.executable, "-c", program, json.dumps(found)]
@@ -106,6 +108,21 @@ def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
     assert ratios["run: MuJoCo in C over giajax"] == 3.0
     assert ratios["run: the plain arm over memory"] == 0.25
     assert ratios["gradient: the plain arm over memory"] == 0.5
+    assert ratios["gradient: the plain arm over a stiffness of each joint"] == 1 / 3
+    assert ratios["study: ten fits over 60 refits"] == 2.0
+
+
+def test_evaluations_on_a_device_are_timed_by_the_number_of_items():
+    """Like a GPU, which machines of this test do not have: a CPU that is stated explicitly."""
+    program = "import json; import jax; jax.config.update('jax_enable_x64', True); "
+    program += "from benchmarks.bench._batch import on_device; "
+    program += "print(json.dumps(on_device(2, 1, 3, jax.devices('cpu')[0], (2, 8))))"
+    command = [sys.executable, "-c", program]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    assert list(found) == ["cpu, 2 items", "cpu, 8 items"]
+    assert all(0 < each["min"] <= each["median"] < 1e-3 for each in found.values())
 
 
 @pytest.mark.quick

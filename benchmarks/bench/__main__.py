@@ -12,7 +12,7 @@ from rich.console import Console
 
 import benchmarks.bench
 from benchmarks import right_model
-from benchmarks.bench._batch import ITEMS, batch
+from benchmarks.bench._batch import ITEMS, batch, on_device
 from benchmarks.bench._evaluation import evaluation
 from benchmarks.bench._fit import base_step, fits, small_run
 from benchmarks.bench._problem import ACCURACY, Problem
@@ -52,7 +52,10 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
         whole = fits(small_run() if quick else base_step(), min(repeats, 3))
         alone = None if quick else processes()
     with console.status("arms with more physics ..."):
-        arms = right_model.measure(quick)["arms"]
+        physics = right_model.measure(quick)
+    with console.status("a GPU, if there is one ..."):
+        gpus = [device for device in jax.devices() if device.platform != "cpu"]
+        on_gpu = on_device(links, repeats, loop // 1000, gpus[0]) if gpus else {}
     found = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
@@ -69,7 +72,9 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
         "evaluations": evaluations,
         "batch": many,
         **both,
-        "arms": arms,
+        "arms": physics["arms"],
+        "each": physics["each"],
+        "gpu": on_gpu,
         "fits": whole,
         "processes": alone,
     }  # fmt: skip
@@ -100,7 +105,9 @@ def main() -> int:
         sys.exit("a quick run is too inaccurate for --record and --check: omit --quick or both")
     jax.config.update("jax_enable_x64", True)
     console = Console()
-    found = measure(arguments.quick, console)
+    # Commands and peers use the CPU, also on a machine with a GPU.
+    with jax.default_device(jax.devices("cpu")[0]):
+        found = measure(arguments.quick, console)
     show(found, console)
     store(found, arguments.out)
     console.print(f"written to {arguments.out}")

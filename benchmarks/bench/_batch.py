@@ -2,15 +2,16 @@
 
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.batch import arranged, evaluations
+from benchmarks.batch import arranged, evaluate, evaluations, waited
 from benchmarks.measuring import in_turns
 from peers.arms import driven_arm, random_states
 from peers.mujoco_c import MujocoInC
@@ -18,6 +19,9 @@ from peers.mujoco_c import MujocoInC
 ITEMS, CORES = 256, 2
 # The layout is fixed, because the least of several would favour giajax by having more samples.
 LAYOUT = "chunks of 64"
+
+# Numbers of items on a GPU, which needs many of them to be occupied.
+GPU_ITEMS = (ITEMS, 16 * ITEMS, 256 * ITEMS)
 
 
 def batch(
@@ -41,9 +45,31 @@ def batch(
     }
 
 
-def _states(links: int, share: int, shares: int) -> dict[str, Any]:
+def on_device(
+    links: int, repeats: int, loop: int, device: jax.Device, sizes: Sequence[int] = GPU_ITEMS
+) -> dict[str, Any]:
+    """Measure the seconds per evaluation of one item in one process on a device, by size."""
+    arm, _ = driven_arm(links)
+    loop = max(loop, 2)
+    # The XLA options of giajax are for a CPU.
+    compiled = jax.jit(evaluate, static_argnames="layout")
+    calls = {}
+    for items in sizes:
+        given = jax.device_put((arm, _states(links, 0, 1, items)), device)
+        call = partial(compiled, *given, "items first", np.asarray(loop, np.int32))
+        calls[items] = partial(waited, call)
+    found = in_turns(
+        {f"{device.device_kind}, {items} items": calls[items] for items in calls}, repeats
+    )
+    return {
+        name: {key: value / items / loop for key, value in each.items()}
+        for items, (name, each) in zip(calls, found.items(), strict=True)
+    }
+
+
+def _states(links: int, share: int, shares: int, items: int = ITEMS) -> dict[str, Any]:
     """Return one of `shares` equal parts of the states."""
-    states = random_states(links, ITEMS)
+    states = random_states(links, items)
     states.pop("wind")
     return {name: value[share::shares] for name, value in states.items()}
 
@@ -85,6 +111,7 @@ def _work(asked: Connection, links: int, share: int, layout: str, loop: int) -> 
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[share % len(cores)]})
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_x64", True)
     arm, _ = driven_arm(links)
     states = arranged(_states(links, share, CORES), layout)

@@ -1,4 +1,4 @@
-"""The base-step fit as a separate process, with cold and warm caches."""
+"""The base-step fit as a separate process, with cold and warm caches, and its bootstrap."""
 
 import json
 import os
@@ -10,29 +10,45 @@ from pathlib import Path
 from typing import Any
 
 RUN = Path(__file__).resolve().parents[2] / "data" / "synthetic" / "base_step.csv"
+REFITS = 60
 START = {"air.drag_coefficient": 0.6, "joints.pitch_stiffness": 1.2, "joints.damping": 0.2}
 
 
 def processes() -> dict[str, Any]:
-    """Run the fit from a distant initial guess as a cold process and as the next process."""
+    """Run the fit from a distant initial guess as a cold process and as the next process.
+
+    `refits` is the wall time of its bootstrap on one core with a warm cache, s.
+    """
     with tempfile.TemporaryDirectory() as folder:
         # The cache is empty, so the first process compiles everything.
         environment = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(Path(folder) / "cache")}
-        return {name: _process(Path(folder) / name, environment) for name in ("cold", "next")}
+        found: dict[str, Any] = {}
+        for name in ("cold", "next"):
+            found[name] = _fit(Path(folder) / name, environment)
+        study = ["bootstrap", str(Path(folder) / "next"), "--size", str(REFITS), "--no-figures"]
+        for _ in range(2):  # the first process compiles
+            found["refits"], _usage = _process([*study, "--quiet", "--force"], environment)
+        return found
 
 
-def _process(out: Path, environment: dict[str, str]) -> dict[str, Any]:
-    """Run `giajax fit` in a separate process; return wall time, peak memory and its own figures."""
-    starts = [word for path, value in START.items() for word in ("--start", f"{path}={value}")]
+def _process(command: list[str], environment: dict[str, str]) -> tuple[float, Any]:
+    """Run a command of giajax in a separate process; return its wall time, s, and its usage."""
     program = [sys.executable, "-c", "from giajax.cli import main; raise SystemExit(main())"]
-    options = ["--data", str(RUN), "--out", str(out), "--quiet", *starts]
     began = time.perf_counter()
-    with subprocess.Popen([*program, "fit", *options], env=environment) as process:
+    with subprocess.Popen([*program, *command], env=environment) as process:
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     wall = time.perf_counter() - began
     if process.returncode != 0:
-        raise RuntimeError(f"giajax fit ended with status {process.returncode}")
+        raise RuntimeError(f"giajax {command[0]} ended with status {process.returncode}")
+    return wall, usage
+
+
+def _fit(out: Path, environment: dict[str, str]) -> dict[str, Any]:
+    """Run the fit in a separate process; return wall time, peak memory and its own figures."""
+    starts = [word for path, value in START.items() for word in ("--start", f"{path}={value}")]
+    options = ["--data", str(RUN), "--out", str(out), "--quiet", *starts]
+    wall, usage = _process(["fit", *options], environment)
     result = json.loads((out / "result.json").read_text())
     # Linux reports kB, macOS reports bytes.
     unit = 1024**2 if sys.platform == "darwin" else 1024

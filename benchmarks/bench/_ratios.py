@@ -16,6 +16,8 @@ LIMITS = {
         for name, allowed in right_model.ALLOWED.items()
         for what, most in zip(("run", "gradient"), allowed, strict=True)
     },
+    "gradient: the plain arm over a stiffness of each joint": 1 / right_model.ALLOWED_EACH,
+    "study: ten fits over 60 refits": 1.0,
 }
 
 
@@ -24,7 +26,7 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
 
     Arguments:
         found: tables of seconds by name, for one `evaluation`, a `run`, its `gradient`, a `batch`
-            and the `fits`; and the `arms` of `benchmarks.right_model`.
+            and the `fits`; the `arms` and `each` of `benchmarks.right_model`; and the `processes`.
 
     Returns:
         Ratios by name, without absent contenders. Larger ratios are better for giajax.
@@ -56,6 +58,10 @@ def ratios(found: dict[str, Any]) -> dict[str, float]:
         if name in right_model.ALLOWED:
             ratios[f"run: the plain arm over {name}"] = 1 / each["run"]["ratio"]
             ratios[f"gradient: the plain arm over {name}"] = 1 / each["slopes"]["ratio"]
+    slopes = found["each"]["Jacobian"]["ratio"]
+    ratios["gradient: the plain arm over a stiffness of each joint"] = 1 / slopes
+    if (alone := found["processes"]) is not None:
+        ratios["study: ten fits over 60 refits"] = 10 * alone["next"]["wall"] / alone["refits"]
     return ratios
 
 

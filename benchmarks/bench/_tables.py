@@ -7,6 +7,7 @@ from rich.table import Table
 
 from benchmarks import right_model
 from benchmarks.bench._fit import CLOSE
+from benchmarks.bench._process import REFITS
 from benchmarks.bench._ratios import LIMITS, held
 from benchmarks.measuring import spread
 
@@ -23,7 +24,12 @@ def show(found: dict[str, Any], console: Console) -> None:
     for name, times in found["batch"].items():
         batch.add_row(name, spread(times, 1e6))
     console.print(batch)
-    console.print(right_model.table({**found["problem"], "arms": found["arms"]}))
+    if found["gpu"]:
+        gpu = _table("Evaluations on the GPU, us an item: min / median")
+        for name, times in found["gpu"].items():
+            gpu.add_row(name, spread(times, 1e6))
+        console.print(gpu)
+    console.print(right_model.table(found | found["problem"]))
     console.print(_fits(found["fits"]))
     if found["processes"] is not None:
         console.print(_processes(found["processes"]))
@@ -92,4 +98,5 @@ def _processes(processes: dict[str, Any]) -> Table:
         each = processes[name]
         times = (f"{each['wall']:.1f}", f"{each['compile']:.1f}")
         table.add_row(words, *times, str(each["iterations"]), f"{each['peak_megabytes']:.0f}")
+    table.add_row(f"{REFITS} refits", f"{processes['refits']:.1f}")
     return table
