@@ -3,13 +3,16 @@
 Each definition is fitted, and fitted again with a tolerance of 1e-10 from the estimates of the
 first fit. The estimates must not differ by more than 0.01 standard errors. The table shows the
 processor time of a step (value and Jacobian) relative to Tsit5 at 1e-7, the former setting; the two
-take turns. With `--draws N`, N further recordings with newly drawn noise are fitted, too.
+take turns. With `--draws N`, N further recordings with newly drawn noise are fitted, too. With
+`--all`, every definition in `fits` that simulates a motion is fitted as it is, with its own loss,
+noise and priors.
 
-    python -m benchmarks.tolerance [--quick] [--draws N] [--out FILE]
+    python -m benchmarks.tolerance [--quick] [--all] [--draws N] [--out FILE]
 """
 
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -68,7 +71,10 @@ def off(result: FitResult, run: Run, task: FitTask) -> float:
     The reference is a fit with the tolerance `REFERENCE`.
     """
     ends = {path: each.value for path, each in result.free.items()}
-    reference, _ = fitted(run, task, start=ends, tolerance=REFERENCE)
+    return _farthest(result, fitted(run, task, start=ends, tolerance=REFERENCE)[0])
+
+
+def _farthest(result: FitResult, reference: FitResult) -> float:
     known = [(path, each) for path, each in reference.free.items() if each.standard_error]
     return max(
         abs(result.parameters[path].value - each.value) / each.standard_error
@@ -106,10 +112,31 @@ def figures(name: str, draws: int, repeats: int) -> dict[str, Any]:
     }
 
 
+def as_defined(name: str) -> dict[str, Any] | None:
+    """Return the tolerance and the error of a definition with all its settings.
+
+    None if it simulates no motion.
+    """
+    task = FitTask.load(f"fits/{name}.toml")
+    result = task.run(check=False)
+    if result.integration is None:
+        return None
+    reference = task.on_top(begin=result, tolerance=REFERENCE).run(check=False)
+    return {
+        "tolerances": [_tolerance(result)],
+        "off_in_standard_errors": [_farthest(result, reference)],
+    }
+
+
 def main() -> int:
     """Measure, print and store; return exit status 1 if a limit is exceeded."""
     jax.config.update("jax_enable_x64", True)
-    options = command_line(__doc__, RESULTS / "tolerance.json", draws=0)
+    options = command_line(
+        __doc__,
+        RESULTS / "tolerance.json",
+        switches={"all": "also fit every definition in fits that simulates a motion"},
+        draws=0,
+    )
     names, repeats = (DEFINITIONS[:1], 1) if options.quick else (DEFINITIONS, 3)
     table = {}
     for name in names:
@@ -121,6 +148,14 @@ def main() -> int:
             f"{each['ratio']:.2f} of the former",
             flush=True,
         )
+    for path in sorted(Path("fits").glob("*.toml")) if options.all else ():
+        if (whole := as_defined(path.stem)) is not None:
+            table[f"{path.stem}, as defined"] = whole
+            print(
+                f"{path.stem:20} as defined: tolerance {whole['tolerances'][0]:.0e}, "
+                f"{whole['off_in_standard_errors'][0]:.4f} standard errors off",
+                flush=True,
+            )
     store(table, options.out)
     farthest = max(max(each["off_in_standard_errors"]) for each in table.values())
     print(f"at most {farthest:.4f} standard errors off, of {MOST_OFF} that are allowed")
