@@ -1,10 +1,10 @@
 """Check whether a ratio of `make bench` has decreased since an earlier commit.
 
 `history.jsonl` has one line for each commit that was recorded. It stores ratios, because times
-cannot be compared between machines. A ratio is the time of a peer divided by the time of giajax.
-The check fails if a ratio is a fifth smaller than in the last line for the same problem, or if it
-is no longer measured. Ratios of giajax's own solvers and of two cores are stored but not checked,
-because they depend on the load of the machine.
+cannot be compared between machines. A ratio is the time of a peer, of the plain arm or of ten fits
+divided by a time of giajax. The check fails if a ratio is a fifth smaller than in the last line for
+the same problem, or if it is no longer measured. Ratios of giajax's own solvers, of studies and of
+two cores are stored but not checked, because they depend on the load of the machine.
 
     python -m benchmarks.history BENCH_JSON [--history FILE]
 """
@@ -19,7 +19,7 @@ from typing import Any
 
 HISTORY = Path(__file__).resolve().parent / "history.jsonl"
 FALL = 0.2
-NOT_JUDGED = ("batch:", "giajax:", "run: Tsit5", "gradient: Tsit5")
+NOT_JUDGED = ("batch:", "giajax:", "studies:", "run: Tsit5", "gradient: Tsit5")
 
 
 def record(found: Mapping[str, Any], path: Path = HISTORY) -> None:

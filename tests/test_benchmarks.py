@@ -23,6 +23,14 @@ def benchmark(name, *options):
     return ended.stdout
 
 
+def printed_by(program, *arguments):
+    """Run a Python program in the root of the project and return its output."""
+    command = [sys.executable, "-c", program, *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
 @pytest.mark.long
 def test_the_benchmark_runs(tmp_path):
     out = tmp_path / "new" / "bench.json"
@@ -81,8 +89,9 @@ def test_a_ratio_that_fell_by_a_fifth_fails(tmp_path, fall, status):
 @pytest.mark.quick
 @pytest.mark.parametrize(("ratios", "said"), [({}, "was not measured"), ({"run": "NaN"}, "fell")])
 def test_a_ratio_that_is_missing_or_no_number_fails(tmp_path, ratios, said):
-    """Ratios of two cores and of giajax's own solvers are not checked."""
-    stored = history(tmp_path / "history.jsonl", {"run": 2.0, "batch: a": 9.0, "giajax: b": 9.0})
+    """Ratios of two cores, of giajax's own solvers and of studies are not checked."""
+    others = {"batch: a": 9.0, "giajax: b": 9.0, "studies: c": 9.0}
+    stored = history(tmp_path / "history.jsonl", {"run": 2.0, **others})
     found = history(tmp_path / "bench.json", {name: float(x) for name, x in ratios.items()})
     command = [sys.executable, "-m", "benchmarks.history", str(found), "--history", str(stored)]
     ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
@@ -100,29 +109,67 @@ def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
     found |= {"processes": {"next": {"wall": 2.0}, "refits": 10.0}}
     program = "import json, sys; from benchmarks.bench._ratios import ratios; "
     program += "print(json.dumps(ratios(json.loads(sys.argv[1]))))"
-    command = [sys.executable, "-c", program, json.dumps(found)]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 0, ended.stderr
-    ratios = json.loads(ended.stdout)
+    ratios = json.loads(printed_by(program, json.dumps(found)))
     assert ratios["evaluation: CasADi over giajax"] == 0.5
     assert ratios["run: MuJoCo in C over giajax"] == 3.0
     assert ratios["run: the plain arm over memory"] == 0.25
     assert ratios["gradient: the plain arm over memory"] == 0.5
     assert ratios["gradient: the plain arm over a stiffness of each joint"] == 1 / 3
-    assert ratios["study: ten fits over 60 refits"] == 2.0
+    assert ratios["studies: ten fits over 60 refits"] == 2.0
 
 
 def test_evaluations_on_a_device_are_timed_by_the_number_of_items():
-    """Like a GPU, which machines of this test do not have: a CPU that is stated explicitly."""
-    program = "import json; import jax; jax.config.update('jax_enable_x64', True); "
-    program += "from benchmarks.bench._batch import on_device; "
-    program += "print(json.dumps(on_device(2, 1, 3, jax.devices('cpu')[0], (2, 8))))"
-    command = [sys.executable, "-c", program]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    assert ended.returncode == 0, ended.stderr
-    found = json.loads(ended.stdout)
-    assert list(found) == ["cpu, 2 items", "cpu, 8 items"]
-    assert all(0 < each["min"] <= each["median"] < 1e-3 for each in found.values())
+    """A CPU takes the place of the GPU, which test machines lack. Each call takes 6 s."""
+    program = """
+import json
+import jax
+from benchmarks.bench import _batch
+
+def timed(calls, repeats):
+    for call in calls.values():
+        call()
+    return {name: {"min": 6.0, "median": 12.0} for name in calls}
+
+jax.config.update("jax_enable_x64", True)
+_batch.in_turns = timed
+print(json.dumps(_batch.on_device(2, 1, 3, jax.devices("cpu")[0], (2, 8))))
+"""
+    assert json.loads(printed_by(program)) == {
+        "cpu, 2 items": {"min": 1.0, "median": 2.0},
+        "cpu, 8 items": {"min": 0.25, "median": 0.5},
+    }
+
+
+def test_the_table_shows_what_a_machine_with_a_gpu_measures():
+    spread = {"min": 1e-6, "median": 2e-6}
+    each = {"seconds": 0.5, "ratio": 3.0}
+    alone = {"wall": 4.5, "compile": 1.5, "iterations": 7, "peak_megabytes": 600.0}
+    found = {
+        "absent": {},
+        "problem": {"links": 20, "seconds": 25.0, "batch": 256},
+        "chosen": {},
+        "run": {},
+        "gradient": {},
+        "evaluations": {},
+        "batch": {"giajax": spread},
+        "gpu": {"a GPU, 4096 items": {"min": 3e-8, "median": 4e-8}},
+        "arms": {"plain": {"tolerance": 1e-4, "error": 1e-5, "steps": [9, 1]}},
+        "each": {"Jacobian": each, "gradient": each},
+        "fits": {},
+        "processes": {"cold": alone, "next": alone, "refits": 12.25},
+        "ratios": {"studies: ten fits over 60 refits": 0.5},
+        "machine": {"load_before": 0.0, "cores": 2},
+    }
+    found["arms"]["plain"] |= {"run": each, "slopes": each}
+    program = "import json, sys; from rich.console import Console; "
+    program += "from benchmarks.bench._tables import show; "
+    program += "show(json.loads(sys.argv[1]), Console(width=200))"
+    printed = printed_by(program, json.dumps(found))
+    lines = {" ".join(re.split(r"[\s│┃]+", line)).strip() for line in printed.splitlines()}
+    assert "a GPU, 4096 items 0.03 / 0.04" in lines
+    assert "60 refits 12.2" in lines
+    assert "studies: ten fits over 60 refits 0.50 1.00 missed" in lines
+    assert "a stiffness of each joint: Jacobian 500 3.00 (6)" in lines
 
 
 @pytest.mark.quick
@@ -284,6 +331,23 @@ def test_the_benchmark_of_the_tolerance_runs(tmp_path):
     # The times require an idle machine, but the errors do not.
     assert max(each["off_in_standard_errors"]) < 0.01
     assert "of the former" in printed
+
+
+@pytest.mark.long
+def test_the_tolerance_of_a_definition_with_its_own_settings():
+    """Its parameters of single runs are compared, too; an algebraic model has no tolerance."""
+    program = """
+import json
+import jax
+from benchmarks.tolerance import as_defined
+
+jax.config.update("jax_enable_x64", True)
+print(json.dumps([as_defined("two_runs"), as_defined("joint")]))
+"""
+    found, without = json.loads(printed_by(program))
+    assert without is None
+    assert found["tolerances"][0] > 1e-10
+    assert 0 < found["off_in_standard_errors"][0] < 0.01
 
 
 @pytest.mark.long

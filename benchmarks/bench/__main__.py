@@ -12,7 +12,7 @@ from rich.console import Console
 
 import benchmarks.bench
 from benchmarks import right_model
-from benchmarks.bench._batch import ITEMS, batch, on_device
+from benchmarks.bench._batch import ITEMS, batch, on_gpu
 from benchmarks.bench._evaluation import evaluation
 from benchmarks.bench._fit import base_step, fits, small_run
 from benchmarks.bench._problem import ACCURACY, Problem
@@ -54,8 +54,7 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
     with console.status("arms with more physics ..."):
         physics = right_model.measure(quick)
     with console.status("a GPU, if there is one ..."):
-        gpus = [device for device in jax.devices() if device.platform != "cpu"]
-        on_gpu = on_device(links, repeats, loop // 1000, gpus[0]) if gpus else {}
+        gpu = on_gpu(links, repeats, loop // 1000)
     found = {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "machine": {
@@ -74,7 +73,7 @@ def measure(quick: bool, console: Console) -> dict[str, Any]:
         **both,
         "arms": physics["arms"],
         "each": physics["each"],
-        "gpu": on_gpu,
+        "gpu": gpu,
         "fits": whole,
         "processes": alone,
     }  # fmt: skip
@@ -104,10 +103,10 @@ def main() -> int:
     if arguments.quick and (arguments.record or arguments.check):
         sys.exit("a quick run is too inaccurate for --record and --check: omit --quick or both")
     jax.config.update("jax_enable_x64", True)
+    # All programs except one use the CPU, also on a machine with a GPU.
+    jax.config.update("jax_platforms", "cpu")
     console = Console()
-    # Commands and peers use the CPU, also on a machine with a GPU.
-    with jax.default_device(jax.devices("cpu")[0]):
-        found = measure(arguments.quick, console)
+    found = measure(arguments.quick, console)
     show(found, console)
     store(found, arguments.out)
     console.print(f"written to {arguments.out}")

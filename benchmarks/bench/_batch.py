@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
@@ -45,8 +46,25 @@ def batch(
     }
 
 
+def on_gpu(links: int, repeats: int, loop: int) -> dict[str, Any]:
+    """Measure the seconds per evaluation of one item on the first GPU, by number of items.
+
+    Empty without a GPU. The measurement takes place in another process, because this one may be
+    restricted to the CPU.
+    """
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as pool:
+        return pool.submit(_first_gpu, links, repeats, loop).result()
+
+
+def _first_gpu(links: int, repeats: int, loop: int) -> dict[str, Any]:
+    jax.config.update("jax_enable_x64", True)
+    gpus = [device for device in jax.devices() if device.platform in ("gpu", "cuda", "rocm")]
+    return on_device(links, repeats, loop, gpus[0], GPU_ITEMS) if gpus else {}
+
+
 def on_device(
-    links: int, repeats: int, loop: int, device: jax.Device, sizes: Sequence[int] = GPU_ITEMS
+    links: int, repeats: int, loop: int, device: jax.Device, sizes: Sequence[int]
 ) -> dict[str, Any]:
     """Measure the seconds per evaluation of one item in one process on a device, by size."""
     arm, _ = driven_arm(links)
@@ -57,13 +75,11 @@ def on_device(
     for items in sizes:
         given = jax.device_put((arm, _states(links, 0, 1, items)), device)
         call = partial(compiled, *given, "items first", np.asarray(loop, np.int32))
-        calls[items] = partial(waited, call)
-    found = in_turns(
-        {f"{device.device_kind}, {items} items": calls[items] for items in calls}, repeats
-    )
+        calls[f"{device.device_kind}, {items} items"] = partial(waited, call)
+    found = in_turns(calls, repeats)
     return {
         name: {key: value / items / loop for key, value in each.items()}
-        for items, (name, each) in zip(calls, found.items(), strict=True)
+        for items, (name, each) in zip(sizes, found.items(), strict=True)
     }
 
 
