@@ -41,7 +41,7 @@ def processes() -> dict[str, Any]:
 
 def _process(command: list[str], environment: dict[str, str]) -> tuple[float, Any]:
     """Run a command of giajax in a separate process; return its wall time, s, and its usage."""
-    program = [sys.executable, "-c", "from giajax.cli import main; raise SystemExit(main())"]
+    program = [sys.executable, "-m", "giajax"]
     began = time.perf_counter()
     with subprocess.Popen([*program, *command], env=environment) as process:
         _, status, usage = os.wait4(process.pid, 0)
