@@ -126,7 +126,7 @@ def as_defined(name: str) -> dict[str, Any] | None:
     """
     task = FitTask.load(f"fits/{name}.toml")
     ready = task.prepare()
-    if ready.setup.config["tolerance"] is None:
+    if ready.setup.config["solver"] is None:
         return None
     result = ready.run(check=False)
     # Further initial guesses would only find the same optimum again.

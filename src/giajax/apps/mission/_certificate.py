@@ -17,8 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit
-from scipy.stats import f as ratio_of_variances, norm
+from scipy.special import expit, fdtri, ndtri
 
 from ...models import ArmModel, recorded_channels
 from ...recordings import Channel, Run
@@ -354,17 +353,13 @@ def certificate(
     seen = (_features(shown, middle, kinds) - centre) / scale
     weights, covariance = _regression(rows, inside)
     row = np.append(1.0, seen)
-    half = norm.ppf(0.975) * np.sqrt(row @ covariance @ row)
+    half = ndtri(0.975) * np.sqrt(row @ covariance @ row)
     low, chance, high = expit(row @ weights + half * np.array([-1, 0, 1]))
     metric = np.linalg.inv(np.atleast_2d(np.cov(rows.T)) + 1e-6 * np.eye(len(seen)))
     count, free = len(rows), max(len(rows) - len(seen), 1)
     # Limit of Hotelling's statistic for one new row.
-    most = (
-        len(seen)
-        * (count**2 - 1)
-        / (count * free)
-        * ratio_of_variances.isf(_UNLIKE, len(seen), free)
-    )
+    quantile = fdtri(len(seen), free, 1 - _UNLIKE)  # `scipy.stats` is slow to import
+    most = len(seen) * (count**2 - 1) / (count * free) * quantile
     gaps = rows - seen
     order = np.argsort(np.einsum("ij,jk,ik->i", gaps, metric, gaps))
     return Certificate(

@@ -297,24 +297,44 @@ class PlanProblem:
     def _searched(
         self, start: np.ndarray, most: int, step: Callable[[np.ndarray], None]
     ) -> np.ndarray:
-        found = minimize(
-            lambda y: (float(self.cost @ y), self.cost),
-            start,
-            jac=True,
-            method="SLSQP",
-            bounds=list(zip(self.low, self.high, strict=True)),
-            constraints=[
-                {"type": "ineq", "fun": self.values, "jac": self.slopes},
-                {
-                    "type": "ineq",
-                    "fun": lambda y: self.linear @ y + self.offset,
-                    "jac": lambda y: self.linear,
-                },
-            ],
-            callback=step,
-            options={"maxiter": most, "ftol": _ENOUGH},
-        )
+        costs: list[float] = []
+
+        def reached(y: np.ndarray) -> None:
+            step(y)
+            costs.append(float(self.cost @ y))
+            gained = costs[-1 - _WINDOW] - costs[-1] if len(costs) > _WINDOW else np.inf
+            if gained < _GAIN * abs(costs[-1]) and np.min(self.values(y)) > -_EXCESS:
+                raise _LittleGainError(y)
+
+        try:
+            found = minimize(
+                lambda y: (float(self.cost @ y), self.cost),
+                start,
+                jac=True,
+                method="SLSQP",
+                bounds=list(zip(self.low, self.high, strict=True)),
+                constraints=[
+                    {"type": "ineq", "fun": self.values, "jac": self.slopes},
+                    {
+                        "type": "ineq",
+                        "fun": lambda y: self.linear @ y + self.offset,
+                        "jac": lambda y: self.linear,
+                    },
+                ],
+                callback=reached,
+                options={"maxiter": most, "ftol": _ENOUGH},
+            )
+        except _LittleGainError as ended:
+            return ended.y
         return np.asarray(found.x)
+
+
+class _LittleGainError(Exception):
+    """The last steps of a search gained little; SLSQP has no other way to end it early."""
+
+    def __init__(self, y: np.ndarray) -> None:
+        super().__init__()
+        self.y = np.array(y)
 
 
 _TRIES = 3  # Number of attempts, each from twice the duration of the one before.
@@ -322,6 +342,9 @@ _HARD = 10.0  # Cost of a unit of the second slack, in slowest periods.
 _LONGEST = 6.0  # Longest command, in periods of the slowest mode.
 LOST = 1e3  # Violation of a constraint by a motion that could not be simulated.
 _ENOUGH = 3e-4  # Convergence tolerance of the cost.
+# A search also ends if it has gained less than this fraction of the cost in the last steps, and no
+# constraint is violated by more than the excess. SLSQP may crawl for a hundred steps.
+_WINDOW, _GAIN, _EXCESS = 10, 5e-3, 1e-3
 _EVERY = 5  # Steps between two lines of progress.
 SLACK = 0.05  # Slack of the distance that a feasible plan may have.
 NEARER = 0.02  # Tolerated violation of the clearance, m.
