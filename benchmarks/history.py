@@ -1,10 +1,11 @@
 """Check whether a ratio of `make bench` has decreased since an earlier commit.
 
 `history.jsonl` has one line for each commit that was recorded. It stores ratios, because times
-cannot be compared between machines. A ratio is the time of a peer, of the plain arm or of ten fits
-divided by a time of giajax. The check fails if a ratio is a fifth smaller than in the last line for
-the same problem, or if it is no longer measured. Ratios of giajax's own solvers, of studies and of
-two cores are stored but not checked, because they depend on the load of the machine.
+cannot be compared between machines. A ratio is the time of another program, of the plain arm, of
+five runs or of ten fits, divided by a time of giajax. The check fails if a ratio is a fifth smaller
+than in the last line for the same problem, or if it is no longer measured. Ratios of giajax's own
+solvers, of studies and of two cores are stored but not checked, because they depend on the load of
+the machine.
 
     python -m benchmarks.history BENCH_JSON [--history FILE]
 """

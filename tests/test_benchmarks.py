@@ -119,7 +119,7 @@ def test_a_ratio_says_how_many_times_as_long_as_giajax_a_peer_takes():
 
 
 def test_evaluations_on_a_device_are_timed_by_the_number_of_items():
-    """A CPU takes the place of the GPU, which test machines lack. Each call takes 6 s."""
+    """A CPU takes the place of the GPU, which test machines lack. Each call is said to take 6 s."""
     program = """
 import json
 import jax
@@ -333,21 +333,39 @@ def test_the_benchmark_of_the_tolerance_runs(tmp_path):
     assert "of the former" in printed
 
 
-@pytest.mark.long
-def test_the_tolerance_of_a_definition_with_its_own_settings():
-    """Its parameters of single runs are compared, too; an algebraic model has no tolerance."""
+def compared(*paths):
+    """Return the errors of definitions as `benchmarks.tolerance --all` finds them."""
     program = """
 import json
+import pathlib
+import sys
 import jax
 from benchmarks.tolerance import as_defined
 
 jax.config.update("jax_enable_x64", True)
-print(json.dumps([as_defined("two_runs"), as_defined("joint")]))
+print(json.dumps([as_defined(pathlib.Path(path)) for path in sys.argv[1:]]))
 """
-    found, without = json.loads(printed_by(program))
+    return json.loads(printed_by(program, *map(str, paths)))
+
+
+@pytest.mark.long
+def test_the_tolerance_of_a_definition_with_its_own_settings():
+    """The initial angles of its run are free, too; an algebraic model has no tolerance."""
+    found, without = compared("fits/dfki_double_pendulum.toml", "fits/joint.toml")
     assert without is None
     assert found["tolerances"][0] > 1e-10
     assert 0 < found["off_in_standard_errors"][0] < 0.01
+
+
+@pytest.mark.long
+def test_a_fit_that_does_not_converge_is_not_compared(tmp_path):
+    definition = (ROOT / "fits" / "base_step.toml").read_text()
+    definition = definition.replace("../data", str(ROOT / "data"))
+    path = tmp_path / "short.toml"
+    path.write_text(definition.replace("[fit]\n", "[fit]\nmax_iterations = 1\n"))
+    (found,) = compared(path)
+    assert list(found) == ["reason"]
+    assert "no optimum was reached after 1" in found["reason"]
 
 
 @pytest.mark.long

@@ -49,8 +49,8 @@ def batch(
 def on_gpu(links: int, repeats: int, loop: int) -> dict[str, Any]:
     """Measure the seconds per evaluation of one item on the first GPU, by number of items.
 
-    Empty without a GPU. The measurement takes place in another process, because this one may be
-    restricted to the CPU.
+    Empty if JAX finds none, for example because JAX_PLATFORMS is set to "cpu". The measurement
+    takes place in another process, because this one may be restricted to the CPU.
     """
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context) as pool:

@@ -1,6 +1,7 @@
-"""Ratios of the times, for comparison between machines: other programs, and a plainer arm or task.
+"""Ratios of the times, for comparison between machines.
 
-The time of giajax is the divisor, so that larger ratios are better for it.
+A ratio is the time of another program, of the plain arm, of five runs or of ten fits, divided by a
+time of giajax, so that larger ratios are better for giajax.
 """
 
 from typing import Any

@@ -94,7 +94,7 @@ def _fits(fits: dict[str, Any]) -> Table:
 def _processes(processes: dict[str, Any]) -> Table:
     title = "The base-step fit as a process"
     table = _table(title, "s", "compiling, s", "iterations", "peak, MB")
-    for name, words in (("cold", "a cold process"), ("next", "the next process")):
+    for name, words in (("cold", "a cold process"), ("next", "a warm process, least of three")):
         each = processes[name]
         times = (f"{each['wall']:.1f}", f"{each['compile']:.1f}")
         table.add_row(words, *times, str(each["iterations"]), f"{each['peak_megabytes']:.0f}")

@@ -173,7 +173,7 @@ def test_the_tip_is_brought_to_a_place():
 
 @pytest.mark.long
 def test_a_search_that_crawls_ends_near_the_optimum():
-    """SLSQP alone takes more than twice as many steps, for a command that is hardly shorter."""
+    """SLSQP alone takes many more steps, for a command that is hardly shorter."""
     pose, limits = np.deg2rad([30.0, -20.0, 10.0, 0, 0, 0]), CommandLimits(rate=np.deg2rad(4.0))
     found = plan_command(ArmModel(takeichi_20m(6)), Pose(pose), limits=limits, knots=24)
     task = found.problem

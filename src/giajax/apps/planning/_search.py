@@ -7,10 +7,12 @@ tip must stay near the target for one period of the slowest mode (three with hys
 joints creep). This and the clearance are constraints on the simulated motion. The limits of angles
 and rates are linear constraints. Sequential quadratic programming (Kraft 1988, SLSQP in scipy) gets
 the gradient of each constraint by forward-mode differentiation. Penalised slack variables make
-every initial guess feasible (Nocedal and Wright, Numerical Optimization, chapter 18.5).
+every initial guess feasible (Nocedal and Wright, Numerical Optimization, chapter 18.5). A search
+for the shortest command ends early if it makes little progress.
 """
 
 import copy
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -285,8 +287,7 @@ class PlanProblem:
             found = self._searched(start, most - count, step)
             if attempt == 0 or self.cost @ found < self.cost @ best:
                 best = found
-            near, clear = found[-2] < SLACK, GAP * found[-1] < ROOM + NEARER
-            if self.low[0] == self.high[0] or (near and clear) or count >= most:
+            if self.low[0] == self.high[0] or self._suffices(found) or count >= most:
                 break
             # A slower command is more likely to lead to a feasible one.
             start = start.copy()
@@ -294,17 +295,30 @@ class PlanProblem:
             start = self._with_slack(start)
         return best, count
 
+    def _suffices(self, y: np.ndarray) -> bool:
+        """Return whether the slack is small: the command reaches the target and keeps clear."""
+        return bool(y[-2] < SLACK and GAP * y[-1] < ROOM + NEARER)
+
     def _searched(
         self, start: np.ndarray, most: int, step: Callable[[np.ndarray], None]
     ) -> np.ndarray:
-        costs: list[float] = []
+        free = self.low[0] < self.high[0]
+        # The cost of the best command so far, and its unknowns, after each step.
+        best: list[tuple[float, np.ndarray]] = []
 
         def reached(y: np.ndarray) -> None:
             step(y)
-            costs.append(float(self.cost @ y))
-            gained = costs[-1 - _WINDOW] - costs[-1] if len(costs) > _WINDOW else np.inf
-            if gained < _GAIN * abs(costs[-1]) and np.min(self.values(y)) > -_EXCESS:
-                raise _LittleGainError(y)
+            # SLSQP calls this at the first trial point of a step, which may violate constraints.
+            valid = (
+                np.min(self.values(y)) > -_EXCESS and np.min(self.linear @ y + self.offset) > -1e-6
+            )
+            here = float(self.cost @ y) if valid and self._suffices(y) else math.inf
+            best.append(min([*best[-1:], (here, np.array(y))], key=lambda each: each[0]))
+            # Further points that violate constraints may still lead to a shorter command.
+            if free and here < math.inf and len(best) > _WINDOW:
+                (before, _), (now, shortest) = best[-1 - _WINDOW], best[-1]
+                if before - now < _GAIN * now:
+                    raise _LittleGainError(shortest)
 
         try:
             found = minimize(
@@ -330,11 +344,11 @@ class PlanProblem:
 
 
 class _LittleGainError(Exception):
-    """The last steps of a search gained little; SLSQP has no other way to end it early."""
+    """The last steps shortened the command little. Before SciPy 1.17, SLSQP has no other end."""
 
     def __init__(self, y: np.ndarray) -> None:
         super().__init__()
-        self.y = np.array(y)
+        self.y = y
 
 
 _TRIES = 3  # Number of attempts, each from twice the duration of the one before.
@@ -342,8 +356,8 @@ _HARD = 10.0  # Cost of a unit of the second slack, in slowest periods.
 _LONGEST = 6.0  # Longest command, in periods of the slowest mode.
 LOST = 1e3  # Violation of a constraint by a motion that could not be simulated.
 _ENOUGH = 3e-4  # Convergence tolerance of the cost.
-# A search also ends if it has gained less than this fraction of the cost in the last steps, and no
-# constraint is violated by more than the excess. SLSQP may crawl for a hundred steps.
+# A search for the shortest command also ends if the last steps have shortened it by less than this
+# fraction. The command may violate its margins by the excess. SLSQP may crawl for a hundred steps.
 _WINDOW, _GAIN, _EXCESS = 10, 5e-3, 1e-3
 _EVERY = 5  # Steps between two lines of progress.
 SLACK = 0.05  # Slack of the distance that a feasible plan may have.
