@@ -358,7 +358,7 @@ LOST = 1e3  # Violation of a constraint by a motion that could not be simulated.
 _ENOUGH = 3e-4  # Convergence tolerance of the cost.
 # A search for the shortest command also ends if the last steps have shortened it by less than this
 # fraction. The command may violate its margins by the excess. SLSQP may crawl for a hundred steps.
-_WINDOW, _GAIN, _EXCESS = 10, 5e-3, 1e-3
+_WINDOW, _GAIN, _EXCESS = 10, 5e-3, 5e-3
 _EVERY = 5  # Steps between two lines of progress.
 SLACK = 0.05  # Slack of the distance that a feasible plan may have.
 NEARER = 0.02  # Tolerated violation of the clearance, m.
