@@ -1,12 +1,13 @@
 """Optimisers for `giajax plan`: duration of the planned command, and time of the search.
 
-The paper's arm in full air turns its base joint by 20 degrees. The package uses SLSQP from scipy.
-The alternatives are Levenberg-Marquardt from optimistix with a quadratic penalty on the violations,
-whose weight increases (Nocedal and Wright, Numerical Optimization, chapter 17), the trust-region
-interior point method from scipy and, if they are installed (`pip install qpax slsqp-jax`),
-Gauss-Newton steps whose quadratic programmes are solved by qpax, and slsqp-jax. Among the commands
-that respect all limits, the shortest is the best. A short search is repeated, and the second time
-is reported, too. Both times of the JAX optimisers include compilation.
+The paper's arm in full air turns its base joint by 20 degrees. The package uses SLSQP from scipy,
+with its early end and its repetitions. The alternatives are Levenberg-Marquardt from optimistix
+with a quadratic penalty on the violations, whose weight increases (Nocedal and Wright, Numerical
+Optimization, chapter 17), the trust-region interior point method from scipy and, if they are
+installed (`pip install qpax slsqp-jax`), Gauss-Newton steps whose quadratic programmes are solved
+by qpax, and slsqp-jax. Among the commands that respect all limits, the shortest is the best. A
+short search is repeated, and the second time is reported, too. Both times of the JAX optimisers
+include compilation.
 
     python -m benchmarks.planning [--quick] [--out FILE]
 """
