@@ -37,7 +37,7 @@ MOST_OF_A_STEP = 0.5
 # The process runs this code in place of the command. It counts the programs that JAX compiles and
 # those that JAX reads from the cache. JAX counts the latter as compiled, too.
 _PROCESS = """
-import json, sys, time
+import json, resource, sys, time
 began = time.process_time(), time.perf_counter()
 counts = {"compiled": 0, "cached": 0, "first_iteration_s": None, "step_s": None}
 
@@ -83,13 +83,16 @@ try:
 except SystemExit as end:
     status = end.code
 processor, clock = time.process_time() - began[0], time.perf_counter() - began[1]
-print(json.dumps({"status": status, "processor_s": processor, "clock_s": clock, **counts}),
-      file=sys.stderr)
+# Linux reports kB, macOS reports bytes.
+unit = 1024**2 if sys.platform == "darwin" else 1024
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+found = {"status": status, "processor_s": processor, "clock_s": clock, "peak_megabytes": peak}
+print(json.dumps(found | counts), file=sys.stderr)
 """
 
 
 def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, Any]:
-    """Run a command in a separate process, with the source of a checkout.
+    """Run a command in a separate process on the CPU, with the source of a checkout.
 
     Arguments:
         checkout: root of the project, in this or another version.
@@ -97,9 +100,9 @@ def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, An
         command: words after `giajax`.
 
     Returns:
-        The times in s, and the numbers of compiled and cached programs.
+        The times in s, the largest memory in MB, and the numbers of compiled and cached programs.
     """
-    environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache)}
+    environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache), "JAX_PLATFORMS": "cpu"}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     # An installed package comes with its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -120,7 +123,7 @@ def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, An
 def fitted(
     checkout: Path, cache: Path, out: Path, options: list[str], fit: Path | None = None
 ) -> dict[str, Any]:
-    """Run a fit in a separate process, with the source of a checkout.
+    """Run a fit in a separate process on the CPU, with the source of a checkout.
 
     Arguments:
         checkout: root of the project, in this or another version.

@@ -7,7 +7,7 @@ from rich.table import Table
 
 from benchmarks import right_model
 from benchmarks.bench._fit import CLOSE
-from benchmarks.bench._process import REFITS
+from benchmarks.bench._process import REFITS, REPEATS
 from benchmarks.bench._ratios import LIMITS, held
 from benchmarks.measuring import spread
 
@@ -94,7 +94,10 @@ def _fits(fits: dict[str, Any]) -> Table:
 def _processes(processes: dict[str, Any]) -> Table:
     title = "The base-step fit as a process"
     table = _table(title, "s", "compiling, s", "iterations", "peak, MB")
-    for name, words in (("cold", "a cold process"), ("next", "a warm process, least of three")):
+    for name, words in (
+        ("cold", "a cold process"),
+        ("next", f"a warm process, least of {REPEATS}"),
+    ):
         each = processes[name]
         times = (f"{each['wall']:.1f}", f"{each['compile']:.1f}")
         table.add_row(words, *times, str(each["iterations"]), f"{each['peak_megabytes']:.0f}")
