@@ -103,7 +103,8 @@ def process(checkout: Path, cache: Path, command: Sequence[str]) -> dict[str, An
         The times in s, the largest memory in MB, and the numbers of compiled and cached programs.
     """
     environment = source_of(checkout) | {"XDG_CACHE_HOME": str(cache), "JAX_PLATFORMS": "cpu"}
-    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    for name in ("COMPILATION_CACHE_DIR", "PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"):
+        environment.pop(f"JAX_{name}", None)
     # An installed package comes with its bytecode.
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     done = subprocess.run(
